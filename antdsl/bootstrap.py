@@ -61,7 +61,7 @@ def install_system_packages() -> None:
     packages = missing_packages(SYSTEM_LIBRARIES)
     if not packages:
         return
-    if not installable():
+    if not can_install():
         words = " ".join(packages)
         sys.exit(f"Open3D needs system libraries that are missing here; on Debian or Ubuntu, run as root:\n  {INSTALL} {words}")
     install(packages)
@@ -76,7 +76,7 @@ def install_browser() -> None:
         return
     words = "the tests of the preview's page will be skipped, as something is missing; on Debian, run as root:"
     words += f"\n  {INSTALL} {' '.join(packages)}"
-    if not installable() or not debian():
+    if not can_install() or not is_debian():
         print(words, flush=True)
         return
     try:
@@ -91,14 +91,14 @@ def install_test_programs() -> None:
     packages = [package for name, package in TEST_PROGRAMS.items() if not shutil.which(name)]
     if not packages or not sys.platform.startswith("linux"):
         return
-    if installable():
+    if can_install():
         install(packages)
     else:
         print(f"some tests will fail: they need {' '.join(packages)}; on Debian or Ubuntu, run as root:", flush=True)
         print(f"  {INSTALL} {' '.join(packages)}", flush=True)
 
 
-def debian() -> bool:
+def is_debian() -> bool:
     """Return whether this is Debian itself: elsewhere, packages of the same name only point to another way to install."""
     try:
         return "ID=debian" in Path("/etc/os-release").read_text(encoding="utf-8").split()
@@ -106,7 +106,7 @@ def debian() -> bool:
         return False
 
 
-def installable() -> bool:
+def can_install() -> bool:
     """Whether this user may install Debian packages."""
     return bool(shutil.which("apt-get")) and (os.geteuid() == 0 or bool(shutil.which("sudo")))
 
@@ -130,7 +130,7 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     print(f"setting up {folder} (Python packages, about 1 GB with Open3D; some minutes the first time)", flush=True)
     stamp.unlink(missing_ok=True)
     # Debian's Python comes without what its `venv` needs.
-    if importlib.util.find_spec("ensurepip") is None and debian() and installable():
+    if importlib.util.find_spec("ensurepip") is None and is_debian() and can_install():
         install([VENV])
     if subprocess.run([sys.executable, "-m", "venv", str(folder)]).returncode:
         sys.exit(f"no virtual environment could be made; on Debian or Ubuntu, run as root:\n  {INSTALL} {VENV}")

@@ -49,19 +49,19 @@ def open_regular(path: Name, *, follow: bool = True, folder: int | None = None) 
     takes its place in between, O_NONBLOCK prevents waiting, and the type of the handle is checked again."""
     below = {"dir_fd": folder} if folder is not None and _LEVELS_BELOW else {}
     try:
-        _demand_regular(os.stat(path, follow_symlinks=follow, **below))
+        _require_regular(os.stat(path, follow_symlinks=follow, **below))
         handle = os.open(path, _READ | (0 if follow else getattr(os, "O_NOFOLLOW", 0)), **below)
     except ValueError:  # a name with a zero character
         raise OSError(errno.EINVAL, "it has a name that no file can have") from None
     try:
-        _demand_regular(os.fstat(handle))
+        _require_regular(os.fstat(handle))
     except BaseException:
         os.close(handle)
         raise
     return handle
 
 
-def _demand_regular(status: os.stat_result) -> None:
+def _require_regular(status: os.stat_result) -> None:
     if stat.S_ISLNK(status.st_mode):
         raise OSError(errno.ELOOP, "it is a link")
     if not stat.S_ISREG(status.st_mode):
@@ -76,7 +76,7 @@ def size_of(handle: int, cap: int) -> int:
     return size
 
 
-def blocks(handle: int, cap: int) -> Iterator[bytes]:
+def read_blocks(handle: int, cap: int) -> Iterator[bytes]:
     """Yield the contents of an open file in blocks. Raises TooLarge above `cap` bytes: before any read, or as soon as a growing
     file passes it. The handle stays open."""
     size_of(handle, cap)
@@ -91,7 +91,7 @@ def blocks(handle: int, cap: int) -> Iterator[bytes]:
 def read_handle(handle: int, cap: int) -> bytes:
     """Read all of an open file and close it; raise TooLarge above `cap` bytes."""
     try:
-        return b"".join(blocks(handle, cap))
+        return b"".join(read_blocks(handle, cap))
     finally:
         os.close(handle)
 

@@ -18,8 +18,8 @@ from antdsl.bounded import real_path
 from antdsl.cpu_budget import CpuBudgetSpent, cpu_budget
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.transfer import decode_reports, encode_reports
-from antdsl.files import sources
-from antdsl.loading import CheckedOnce
+from antdsl.files import load_sources
+from antdsl.loading import SharedParsedFiles
 from antdsl.pipeline import Choices, check_path
 from antdsl.program.model import Program
 from antdsl.source import Source, Span
@@ -32,7 +32,7 @@ MOST_GROUPS = 256  # that a byte can name; what is beyond is checked in the end
 
 
 @dataclass(slots=True)
-class Checked:
+class CheckResult:
     """Results of checking files: a report for each in their order, the texts that were read, and the programs, if requested."""
 
     reports: dict[Path, Report] = field(default_factory=dict)
@@ -40,7 +40,7 @@ class Checked:
     programs: dict[Path, Program] = field(default_factory=dict)
     cpu_seconds: float = 0.0
 
-    def add(self, other: Checked) -> None:
+    def add(self, other: CheckResult) -> None:
         self.reports |= other.reports
         self.programs |= other.programs
         known = {source.path for source in self.sources}
@@ -55,26 +55,26 @@ def check_all(
     cores: int = 1,
     programs: bool = False,
     cpu_seconds: float = 0.0,
-) -> Checked:
+) -> CheckResult:
     """Check each file as `check_path` does, on `cores` cores. `programs` also returns the programs, which requires one process. A
     file that takes more than `cpu_seconds` of processor time is reported; 0 is no limit."""
-    result = Checked(cpu_seconds=cpu_seconds)
-    groups = _groups(files)
-    parsed = CheckedOnce()
-    if programs or choices.grants or len(files) < WORTH_SHARING or len(groups) < 3 or cores < 2 or not _may_fork():
+    result = CheckResult(cpu_seconds=cpu_seconds)
+    groups = _group_files(files)
+    parsed = SharedParsedFiles()
+    if programs or choices.grants or len(files) < WORTH_SHARING or len(groups) < 3 or cores < 2 or not _can_fork():
         _check(files, choices, strict, parsed, result, programs)
     else:
-        _share(groups, choices, strict, min(cores, MOST_PROCESSES), parsed, result)
+        _check_in_processes(groups, choices, strict, min(cores, MOST_PROCESSES), parsed, result)
     # Here is what was left over, or was taken by a process that was ended from outside.
     _check([file for file in files if file not in result.reports], choices, strict, parsed, result)
-    result.add(Checked(sources=sources(files, parsed)))
+    result.add(CheckResult(sources=load_sources(files, parsed)))
     result.sources.sort(key=lambda source: source.path)
     return result
 
 
-def check_text(data: bytes, choices: Choices, *, strict: bool = False, cpu_seconds: float = 0.0) -> Checked:
+def check_text(data: bytes, choices: Choices, *, strict: bool = False, cpu_seconds: float = 0.0) -> CheckResult:
     """Check one program that is not in a file. Its imports are resolved from the working directory."""
-    path, parsed, result = Path("<stdin>.ant"), CheckedOnce(), Checked(cpu_seconds=cpu_seconds)
+    path, parsed, result = Path("<stdin>.ant"), SharedParsedFiles(), CheckResult(cpu_seconds=cpu_seconds)
     source, report = syntax.read_bytes("<stdin>", data)
     if source is None:
         result.reports[path] = report
@@ -87,7 +87,9 @@ def check_text(data: bytes, choices: Choices, *, strict: bool = False, cpu_secon
     return result
 
 
-def _share(groups: list[list[Path]], choices: Choices, strict: bool, cores: int, parsed: CheckedOnce, result: Checked) -> None:
+def _check_in_processes(
+    groups: list[list[Path]], choices: Choices, strict: bool, cores: int, parsed: SharedParsedFiles, result: CheckResult
+) -> None:
     # The first is checked before the others are shared out: all that is imported and the library are then there once.
     _check(groups[0], choices, strict, parsed, result)
     gc.freeze()  # so that no process copies what it has not changed, only to look for garbage in it
@@ -99,10 +101,10 @@ def _share(groups: list[list[Path]], choices: Choices, strict: bool, cores: int,
     children: list[tuple[int, int]] = []
     try:
         for _ in range(min(cores, len(groups)) - 1):
-            children.append(_begin(groups, mine, choices, strict, parsed, result.cpu_seconds))
-        _take(groups, mine, choices, strict, parsed, result)
+            children.append(_start_child(groups, mine, choices, strict, parsed, result.cpu_seconds))
+        _check_claimed(groups, mine, choices, strict, parsed, result)
         while children:
-            result.add(_end(*children.pop(0)))
+            result.add(_collect_child(*children.pop(0)))
     finally:
         os.close(mine)
         for process, pipe in children:  # of a check that was interrupted
@@ -111,27 +113,27 @@ def _share(groups: list[list[Path]], choices: Choices, strict: bool, cores: int,
             os.waitpid(process, 0)
 
 
-def _take(
-    groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce, result: Checked
+def _check_claimed(
+    groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: SharedParsedFiles, result: CheckResult
 ) -> None:
     while claim := os.read(claims, 1):
         _check(groups[claim[0]], choices, strict, parsed, result)
 
 
 def _check(
-    files: Iterable[Path], choices: Choices, strict: bool, parsed: CheckedOnce, result: Checked, programs: bool = False
+    files: Iterable[Path], choices: Choices, strict: bool, parsed: SharedParsedFiles, result: CheckResult, programs: bool = False
 ) -> None:
     for file in files:
         try:
             with cpu_budget(result.cpu_seconds):
                 program, result.reports[file] = check_path(file, choices, strict=strict, parsed=parsed)
         except CpuBudgetSpent as spent:
-            program, result.reports[file] = None, _overdue(file, result.cpu_seconds, spent)
+            program, result.reports[file] = None, _overdue_report(file, result.cpu_seconds, spent)
         if programs and program is not None:
             result.programs[file] = program
 
 
-def _overdue(file: Path, seconds: float, spent: CpuBudgetSpent) -> Report:
+def _overdue_report(file: Path, seconds: float, spent: CpuBudgetSpent) -> Report:
     """Return the report of a file that took too long: its place, and the stage of the check that was running."""
     modules = [each.f_globals.get("__name__", "") for each, _ in traceback.walk_tb(spent.__traceback__)]
     stages = [name.split(".")[1] for name in modules if name.startswith("antdsl.") and name != __name__]
@@ -155,7 +157,7 @@ _STAGES = {
 }
 
 
-def _groups(files: Sequence[Path]) -> list[list[Path]]:
+def _group_files(files: Sequence[Path]) -> list[list[Path]]:
     """Group files that may use each other: those of a folder and of all folders below it. Small groups come first."""
     groups: dict[Path, list[Path]] = {}
     tops: list[Path] = []
@@ -166,10 +168,10 @@ def _groups(files: Sequence[Path]) -> list[list[Path]]:
     for file in files:
         folder = real_path(file).parent
         groups[next(top for top in reversed(tops) if folder.is_relative_to(top))].append(file)
-    return sorted(groups.values(), key=_weight)
+    return sorted(groups.values(), key=_file_weight)
 
 
-def _weight(files: Iterable[Path]) -> int:
+def _file_weight(files: Iterable[Path]) -> int:
     weight = 0
     for file in files:
         with suppress(OSError):
@@ -177,13 +179,13 @@ def _weight(files: Iterable[Path]) -> int:
     return weight
 
 
-def _may_fork() -> bool:
+def _can_fork() -> bool:
     """Return whether this process may fork: only on Linux, and not if the threads of a ray library are loaded."""
     return sys.platform == "linux" and "open3d" not in sys.modules
 
 
-def _begin(
-    groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce, cpu_seconds: float
+def _start_child(
+    groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: SharedParsedFiles, cpu_seconds: float
 ) -> tuple[int, int]:
     """Start a child process that checks groups; return its process id and the pipe of its result."""
     ours, theirs = os.pipe()
@@ -192,7 +194,7 @@ def _begin(
         code = 1
         try:
             os.close(ours)
-            _work(theirs, groups, claims, choices, strict, parsed, cpu_seconds)
+            _run_child(theirs, groups, claims, choices, strict, parsed, cpu_seconds)
             code = 0
             if "antdsl.reader.client" in sys.modules:
                 from antdsl.reader.client import end_reader
@@ -204,17 +206,23 @@ def _begin(
     return process, ours
 
 
-def _work(
-    pipe: int, groups: Sequence[list[Path]], claims: int, choices: Choices, strict: bool, parsed: CheckedOnce, cpu_seconds: float
+def _run_child(
+    pipe: int,
+    groups: Sequence[list[Path]],
+    claims: int,
+    choices: Choices,
+    strict: bool,
+    parsed: SharedParsedFiles,
+    cpu_seconds: float,
 ) -> None:
-    results = Checked(cpu_seconds=cpu_seconds)
-    _take(groups, claims, choices, strict, parsed, results)
-    write_parts(pipe, [encode_reports(results.reports, sources((), parsed))])  # scenes are read once, by the parent
+    results = CheckResult(cpu_seconds=cpu_seconds)
+    _check_claimed(groups, claims, choices, strict, parsed, results)
+    write_parts(pipe, [encode_reports(results.reports, load_sources((), parsed))])  # scenes are read once, by the parent
 
 
-def _end(process: int, pipe: int) -> Checked:
+def _collect_child(process: int, pipe: int) -> CheckResult:
     """Return the result of a child; empty if it ended before or during its answer."""
-    results = Checked()
+    results = CheckResult()
     with os.fdopen(pipe, "rb") as file, suppress(ValueError):
         results.reports, results.sources = decode_reports(file.read())
     os.waitpid(process, 0)

@@ -42,7 +42,7 @@ def cpu_budget(seconds: float) -> Iterator[None]:
         signal.signal(signal.SIGPROF, previous)
 
 
-def remaining() -> float:
+def remaining_seconds() -> float:
     """Seconds of the budget that are left; infinite where there is no budget."""
     return max(_end - time.process_time(), 0.0) if _owner == os.getpid() else math.inf
 
@@ -53,7 +53,7 @@ def charge(seconds: float) -> None:
     if _owner != os.getpid():
         return
     _end -= seconds
-    left = remaining()
+    left = remaining_seconds()
     if left > 0.0:
         signal.setitimer(signal.ITIMER_PROF, max(left, _SOON))
     elif threading.current_thread() is threading.main_thread():

@@ -23,7 +23,7 @@ def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
     in folders. Folders are searched without following links; hidden ones are left out."""
     matches: dict[Path, None] = {}
     report = Report()
-    for path in _matched(paths, report):
+    for path in _expand_patterns(paths, report):
         if not path.is_dir():
             if path.suffix in (".ant", ".yaml", ".yml"):
                 matches[path] = None
@@ -41,7 +41,7 @@ def find_files(paths: Iterable[Path]) -> tuple[list[Path], Report]:
     return list(matches), report
 
 
-def _matched(paths: Iterable[Path], report: Report) -> Iterator[Path]:
+def _expand_patterns(paths: Iterable[Path], report: Report) -> Iterator[Path]:
     """Yield the paths, with patterns replaced by their matches. A path that exists is never treated as a pattern."""
     for path in paths:
         if path.exists() or not has_magic(str(path)):
@@ -54,7 +54,7 @@ def _matched(paths: Iterable[Path], report: Report) -> Iterator[Path]:
         yield from readable_paths
 
 
-def sources(files: Iterable[Path], parsed: Parsed) -> list[Source]:
+def load_sources(files: Iterable[Path], parsed: Parsed) -> list[Source]:
     """Return the readable texts of checked files: programs as they were parsed, and scenes."""
     texts = [file.source for file, _ in parsed.values() if not file.source.path.startswith("<")]
     for path in files:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 Parsed = dict[str, tuple[nodes.File, Report]]
 
 
-class CheckedOnce(Parsed):
+class SharedParsedFiles(Parsed):
     """The same for many files that do not change meanwhile. `checked`: results for the same files, as a scene's program is that
     of its file. The names of the libraries that it uses are stored with it."""
 
@@ -32,9 +32,9 @@ class CheckedOnce(Parsed):
         self.checked: dict[tuple[object, ...], tuple[Program, Report, tuple[str, ...]]] = {}
 
 
-def library(name: str) -> nodes.File | None:
+def find_library(name: str) -> nodes.File | None:
     """The file behind `use NAME`, or None when there is none. The same object as long as its text is the same."""
-    return Loaded(Path()).library(name)
+    return LoadedSources(Path()).find_library(name)
 
 
 @lru_cache(maxsize=64)
@@ -44,7 +44,7 @@ def _parsed_library(name: str, text: str) -> tuple[nodes.File, Report]:
 
 
 @dataclass(slots=True)
-class Loaded:
+class LoadedSources:
     """Programs and what they use. `modules` is by the path as written in `use`; `texts` are all sources by their path below
     `folder`, library files as `<steering>`; `parsed`
     may be shared by several of these, so that a file is read once and has one place."""
@@ -59,14 +59,14 @@ class Loaded:
     _module_paths: dict[str, Path] = field(default_factory=dict)
     _bytes: int = 0
 
-    def library(self, name: str) -> nodes.File | None:
+    def find_library(self, name: str) -> nodes.File | None:
         """The file behind `use NAME`, or None when there is none."""
         if name not in self._library:
             path = library_file(name)
             self._library[name] = None if path is None else self._parse(path, f"<{name}>", of_library=True)
         return self._library[name]
 
-    def libraries(self) -> tuple[str, ...]:
+    def library_names(self) -> tuple[str, ...]:
         """Return the names of the library files that were requested."""
         return tuple(self._library)
 
@@ -75,7 +75,7 @@ class Loaded:
         file = self._parse(path, str(path))
         if file is not None:
             self.files.append(file)
-            self._uses(file, Roots(path.resolve().parent), 1, (path.resolve(),))
+            self._load_uses(file, Roots(path.resolve().parent), 1, (path.resolve(),))
         return file
 
     def add_named(self, text: str, roots: Roots, span: Span) -> nodes.File | None:
@@ -86,7 +86,7 @@ class Loaded:
         file = self._parse(path, display_path(path), span, (roots, text))
         if file is not None:
             self.files.append(file)
-            self._uses(file, Roots(path.parent, roots.granted), 1, (path,))
+            self._load_uses(file, Roots(path.parent, roots.granted), 1, (path,))
         return file
 
     def hashes(self) -> dict[str, str]:
@@ -102,7 +102,7 @@ class Loaded:
             self.report.error("bad-path", f"`{text[:80]}` is not an .ant file", span, "name a file that ends in `.ant`")
             return None
         try:
-            roots.exists(text)
+            roots.file_size(text)
             return roots.path(text)
         except PathRefused as refused:
             self.report.error(refused.code, str(refused), span, refused.help)
@@ -144,8 +144,8 @@ class Loaded:
         self.report.extend(report)
         return file
 
-    def _uses(self, file: nodes.File, roots: Roots, depth: int, chain: tuple[Path, ...]) -> None:
-        for use in uses(file):
+    def _load_uses(self, file: nodes.File, roots: Roots, depth: int, chain: tuple[Path, ...]) -> None:
+        for use in use_lines(file):
             if use.path is None:
                 continue
             text, span = use.path.text, use.path.span
@@ -176,10 +176,10 @@ class Loaded:
             module = self._parse(path, display_path(path), span, (roots, text))
             if module is not None:
                 self.modules[text], self._module_paths[text] = module, path
-                self._uses(module, Roots(path.parent, roots.granted), depth + 1, (*chain, path))
+                self._load_uses(module, Roots(path.parent, roots.granted), depth + 1, (*chain, path))
 
 
-def uses(file: nodes.File) -> tuple[nodes.Use, ...]:
+def use_lines(file: nodes.File) -> tuple[nodes.Use, ...]:
     """The `use` lines of a file."""
     return tuple(item for item in file.items if isinstance(item, nodes.Use))
 

@@ -13,14 +13,14 @@ from typing import TYPE_CHECKING
 from antdsl import __version__
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
-from antdsl.loading import CheckedOnce, Loaded, Parsed
-from antdsl.numerics.float_environment import standard
+from antdsl.loading import LoadedSources, Parsed, SharedParsedFiles
+from antdsl.numerics.float_environment import standard_floats
 
 if TYPE_CHECKING:
     from antdsl.bodies.agents.definition import Definition
     from antdsl.diagnostics import Diagnostic
     from antdsl.plan.ir import Plan
-    from antdsl.program.expectations import Changed
+    from antdsl.program.expectations import SpecChange
     from antdsl.program.memo import Memo
     from antdsl.program.model import Program
     from antdsl.runtime import Options, World
@@ -40,7 +40,7 @@ class Choices:
     frames: FrameRange | None = None
     seed: int | None = None
     params: Mapping[str, str] = field(default_factory=dict)
-    changes: tuple[Changed, ...] = ()  # what a spec also sets: params and settings of fields
+    changes: tuple[SpecChange, ...] = ()  # what a spec also sets: params and settings of fields
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +53,7 @@ class Shot:
     plan: Plan
     setting: Setting
     inputs: Mapping[str, str]
-    loaded: Loaded
+    loaded: LoadedSources
     bodies: Mapping[str, Definition] = field(default_factory=dict)
 
     @property
@@ -68,13 +68,13 @@ def compile_files(
 
     `strict` adds the findings of `check --strict`. `parsed` and `memo` cache what was parsed and checked, for the next call."""
     files = [Path(path) for path in paths]
-    loaded = Loaded(real_path(files[0]).parent if files else Path.cwd(), parsed={} if parsed is None else parsed)
+    loaded = LoadedSources(real_path(files[0]).parent if files else Path.cwd(), parsed={} if parsed is None else parsed)
     for file in files:
         loaded.add_file(file)
-    return _checked(loaded, strict, memo)
+    return _check_loaded(loaded, strict, memo)
 
 
-def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Program | None, Report]:
+def _check_loaded(loaded: LoadedSources, strict: bool, memo: Memo | None = None) -> tuple[Program | None, Report]:
     from antdsl.program import check
 
     report = Report()
@@ -83,18 +83,18 @@ def _checked(loaded: Loaded, strict: bool, memo: Memo | None = None) -> tuple[Pr
         return None, report
     # files are the same objects as long as they are in `parsed`; names of modules are read from their texts
     key = (strict, *(id(file) for file in loaded.files), *((name, id(file)) for name, file in sorted(loaded.modules.items())))
-    cache = loaded.parsed.checked if isinstance(loaded.parsed, CheckedOnce) else {}
+    cache = loaded.parsed.checked if isinstance(loaded.parsed, SharedParsedFiles) else {}
     if key not in cache:
-        cache[key] = *check(loaded.files, loaded.library, loaded.modules, strict=strict, memo=memo), loaded.libraries()
+        cache[key] = *check(loaded.files, loaded.find_library, loaded.modules, strict=strict, memo=memo), loaded.library_names()
     program, findings, libraries = cache[key]
     for name in libraries:  # a program's parts are reported with it, also if it was checked before
-        loaded.library(name)
+        loaded.find_library(name)
     report.extend(loaded.report)
     report.extend(findings)
     return program, report
 
 
-@standard()
+@standard_floats()
 def open_scene(
     path: Path | str, choices: Choices | None = None, *, parsed: Parsed | None = None, thorough: bool = True, raw: bool = False
 ) -> tuple[Shot | None, Report]:
@@ -103,32 +103,32 @@ def open_scene(
     path = Path(path)
     from antdsl import passes, plan
     from antdsl.bodies.crowd_bodies import crowd_bodies
-    from antdsl.scene.field_settings import with_fields
+    from antdsl.scene.field_settings import with_field_settings
     from antdsl.scene.matching import layer_order
-    from antdsl.scene.overriding import overrides, with_changed_fields, with_changed_params
+    from antdsl.scene.overriding import read_overrides, with_changed_fields, with_changed_params
     from antdsl.scene.staging.stage_scene import stage
 
     choices = choices or Choices()
     scene, program, loaded, report = _read_scene(path, choices, parsed=parsed)
     if scene is None or program is None or not report.ok:
         return None, report
-    param_overrides = overrides(scene, program, choices.params, Report())
-    program = with_fields(program, scene, {**scene.model.set, **param_overrides})
+    param_overrides = read_overrides(scene, program, choices.params, Report())
+    program = with_field_settings(program, scene, {**scene.model.set, **param_overrides})
     program = with_changed_fields(program, choices.changes)
     orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
     setting, findings, meshes = stage(scene, program, param_overrides)
     report.extend(findings)
     if setting is None or not report.ok:
         return None, report
-    report.answer(_answered(report, scene, program, setting))
-    lowered, findings = plan.lower(program, orders=orders, begun_with=setting.begun_with)
+    report.answer(_attribute_warnings(report, scene, program, setting))
+    lowered, findings = plan.lower(program, orders=orders, begun_with=setting.initial_attributes)
     report.extend(findings)
     bodies, findings = crowd_bodies(scene, program)
     report.extend(findings)
     if not report.ok:
         return None, report
     setting = with_changed_params(setting, scene, program, choices.changes)
-    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs, unseen=_unseen(scene))
+    setting = replace(setting, clips=bodies.clips, rooms=bodies.rooms, legs=bodies.legs, unseen=_undrawn_things(scene))
     inputs = {"antdsl": __version__, "scene": scene.digest(), **loaded.hashes(), **meshes, **bodies.hashes}
     inputs |= {f"--set {name}": text for name, text in choices.params.items()}
     inputs |= {f"set {change.name}": change.value.span.text for change in choices.changes}
@@ -136,7 +136,7 @@ def open_scene(
     return Shot(scene, program, final_plan, setting, inputs, loaded, bodies.definitions), report
 
 
-def _unseen(scene: Scene) -> frozenset[str]:
+def _undrawn_things(scene: Scene) -> frozenset[str]:
     """Things of the world that pictures leave out."""
     return frozenset(name for name, thing in scene.model.world.items() if getattr(thing, "look", None) == "none")
 
@@ -148,18 +148,18 @@ def _read_scene(
     parsed: Parsed | None = None,
     data: bytes | None = None,
     texts: Mapping[Path, bytes] | None = None,
-) -> tuple[Scene | None, Program | None, Loaded, Report]:
+) -> tuple[Scene | None, Program | None, LoadedSources, Report]:
     """The scene, the programs of its crowd checked together, and how they match."""
     from antdsl.scene.load import load, load_text
-    from antdsl.scene.matching import match
-    from antdsl.scene.overriding import overrides
+    from antdsl.scene.matching import match_scene
+    from antdsl.scene.overriding import read_overrides
     from antdsl.scene.paths import Roots
 
     if data is None:
         scene, report = load(path, choices.grants)
     else:
         scene, report = load_text(data, str(path), Roots(real_path(path).parent, dict(choices.grants)), texts)
-    loaded = Loaded(real_path(path).parent, parsed={} if parsed is None else parsed)
+    loaded = LoadedSources(real_path(path).parent, parsed={} if parsed is None else parsed)
     if scene is None:
         return None, None, loaded, report
     if data is None:  # an editor's text is read without the meshes of its world
@@ -172,11 +172,11 @@ def _read_scene(
         report.error(
             "no-crowd", "the scene has no crowd, so there is nothing to simulate", scene.span("antdsl", key=True), _CROWD_HELP
         )
-    program, findings = _checked(loaded, strict)
+    program, findings = _check_loaded(loaded, strict)
     report.extend(findings)
     if program is not None and findings.ok:
-        report.extend(match(scene, program))
-        overrides(scene, program, choices.params, report)
+        report.extend(match_scene(scene, program))
+        read_overrides(scene, program, choices.params, report)
     return scene, program, loaded, report
 
 
@@ -231,26 +231,26 @@ def check_path(
     """Check a file without running it: a program alone, or a scene with its programs and meshes. With one `parsed` for many
     files, findings about a program have one location, whichever file names it. `specs`: also check that the scenes of its specs
     exist."""
-    from antdsl.scene.existence_checks import spec_scenes
+    from antdsl.scene.existence_checks import check_spec_scenes
 
     choices = choices or Choices()
     if path.suffix == ".ant":
         program, report = compile_files([path], strict=strict, parsed=parsed)
-        report.extend(spec_scenes(program, choices.grants) if specs else ())
+        report.extend(check_spec_scenes(program, choices.grants) if specs else ())
         return program, report
     scene, program, _, report = _read_scene(path, choices, strict, parsed)
-    report.extend(spec_scenes(program, choices.grants) if specs else ())
+    report.extend(check_spec_scenes(program, choices.grants) if specs else ())
     setting = None
     if scene is not None and program is not None and report.ok and scene.model.world:
         from antdsl.bodies.crowd_bodies import crowd_bodies
-        from antdsl.scene.overriding import overrides
+        from antdsl.scene.overriding import read_overrides
         from antdsl.scene.staging.stage_scene import stage
 
-        setting, findings, _ = stage(scene, program, overrides(scene, program, choices.params, Report()))
+        setting, findings, _ = stage(scene, program, read_overrides(scene, program, choices.params, Report()))
         report.extend(findings)
         report.extend(crowd_bodies(scene, program)[1])
     if scene is not None and program is not None:
-        report.answer(_answered(report, scene, program, setting))
+        report.answer(_attribute_warnings(report, scene, program, setting))
     return program, report
 
 
@@ -262,12 +262,12 @@ def mesh_imports(path: Path, choices: Choices) -> tuple[Mapping[str, MeshImport]
     return ({}, "mm") if scene is None or program is None else (import_reports(scene, program), scene.model.units)
 
 
-def _answered(report: Report, scene: Scene, program: Program, setting: Setting | None) -> list[Diagnostic]:
+def _attribute_warnings(report: Report, scene: Scene, program: Program, setting: Setting | None) -> list[Diagnostic]:
     """Return the warnings about attributes that do not hold in a scene.
 
     These say that an attribute is constant, where the scene sets it for some agents at the start. Or they say that it is never
     read, where the scene writes it to the cache."""
-    initial_attributes = setting.begun_with if setting is not None else {}
+    initial_attributes = setting.initial_attributes if setting is not None else {}
     initial_spans = [a.span for name, of in initial_attributes.items() for a in program.species[name].attributes if a.name in of]
     output = scene.model.output.attributes
     written = [a.span for species in program.species.values() for a in species.attributes if a.name in output]

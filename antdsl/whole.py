@@ -34,42 +34,42 @@ def write_atomically(path: Path, data: bytes | Parts, *, sync: bool = True, mode
 
     A reader, even after a crash, sees the old file or all of the new one. An OSError names `path`; the old file then stays.
     `mode`: the permissions of the file, less what the system withholds from new files."""
-    with _opened(path, sync, mode) as handle:
+    with _open_atomic(path, sync, mode) as handle:
         write_parts(handle, [data] if isinstance(data, bytes) else data)
 
 
 @contextmanager
 def atomic_file(path: Path, *, sync: bool = True) -> Iterator[IO[bytes]]:
-    """As `write_whole`, with a binary file to write piece by piece."""
-    with _opened(path, sync, 0o666) as handle, FileIO(handle, "wb", closefd=False) as raw, BufferedWriter(raw) as file:
+    """As `write_atomically`, with a binary file to write piece by piece."""
+    with _open_atomic(path, sync, 0o666) as handle, FileIO(handle, "wb", closefd=False) as raw, BufferedWriter(raw) as file:
         yield cast(IO[bytes], file)
 
 
 @contextmanager
 def atomic_path(path: Path, ending: str = PART, *, sync: bool = True) -> Iterator[Path]:
-    """As `whole_file`, with a path, for libraries and programs that open files by name. `ending`: the suffix of the file being
+    """As `atomic_file`, with a path, for libraries and programs that open files by name. `ending`: the suffix of the file being
     written, for programs that depend on it."""
-    part = new_beside(path, ending)
-    with _placed(str(part), path, sync):
+    part = new_sibling(path, ending)
+    with _move_into_place(str(part), path, sync):
         yield part
         if sync:
             sync_file(part)
 
 
-def new_beside(path: Path, ending: str = PART) -> Path:
+def new_sibling(path: Path, ending: str = PART) -> Path:
     """Create an empty new file next to a path. Existing files, links or pipes are neither opened, written nor removed. Raises
     OSError if no file can be created."""
-    new, handle = _new(path, ending, 0o666)
+    new, handle = _open_new(path, ending, 0o666)
     os.close(handle)
     return Path(new)
 
 
-def _new(path: Path, ending: str, mode: int) -> tuple[str, int]:
-    """As `new_beside`, open for writing: return its path and its handle."""
+def _open_new(path: Path, ending: str, mode: int) -> tuple[str, int]:
+    """As `new_sibling`, open for writing: return its path and its handle."""
     place, name = os.path.split(path)
     remove_stale(place)
     for left in reversed(range(_TRIES)):
-        new = os.path.join(place, f".{name[:_LONGEST]}.{_machine()}-{os.getpid():x}-{os.urandom(6).hex()}{ending}")
+        new = os.path.join(place, f".{name[:_LONGEST]}.{_machine_digits()}-{os.getpid():x}-{os.urandom(6).hex()}{ending}")
         try:
             return new, os.open(new, _NEW, mode)
         except FileExistsError:
@@ -81,7 +81,7 @@ def _new(path: Path, ending: str, mode: int) -> tuple[str, int]:
     raise AssertionError
 
 
-# The name that `_new` gives: which machine, which process, chance.
+# The name that `_open_new` gives: which machine, which process, chance.
 _STALE = re.compile(r"\..{1,40}\.([0-9a-f]{8})-([0-9a-f]{1,8})-[0-9a-f]{12}(?:\.\w{1,8})+", re.DOTALL)
 _cleaned: set[tuple[int, str]] = set()
 
@@ -98,7 +98,7 @@ def remove_stale(folder: str) -> None:
     with suppress(OSError), os.scandir(folder or ".") as entries:
         for entry in entries:
             match = _STALE.fullmatch(entry.name) if entry.name.startswith(".") else None
-            if match is None or match[1] != _machine() or _is_running(int(match[2], 16)):
+            if match is None or match[1] != _machine_digits() or _is_running(int(match[2], 16)):
                 continue
             with suppress(OSError):
                 if entry.is_file(follow_symlinks=False) and entry.stat(follow_symlinks=False).st_uid == os.geteuid():
@@ -115,13 +115,13 @@ def _is_running(process: int) -> bool:
     return True
 
 
-def _machine() -> str:
+def _machine_digits() -> str:
     """Return eight digits for this machine, and for the container that has the process numbers visible here."""
-    return _machine_of(os.getpid())
+    return _cached_machine_digits(os.getpid())
 
 
 @lru_cache(1)
-def _machine_of(process: int) -> str:
+def _cached_machine_digits(process: int) -> str:
     """Return the same, computed once by each process."""
     from hashlib import blake2b
 
@@ -133,10 +133,10 @@ def _machine_of(process: int) -> str:
 
 
 @contextmanager
-def _opened(path: Path, sync: bool, mode: int) -> Iterator[int]:
+def _open_atomic(path: Path, sync: bool, mode: int) -> Iterator[int]:
     """Yield a handle of a file that replaces `path` at the end."""
-    part, handle = _new(path, PART, mode)
-    with _placed(part, path, sync):
+    part, handle = _open_new(path, PART, mode)
+    with _move_into_place(part, path, sync):
         try:
             # The file is emptied before anything is written. Ext4 then treats it as rewritten, and begins writing it to disk on
             # close. Syncing many such files later takes two thirds of the time.
@@ -150,8 +150,8 @@ def _opened(path: Path, sync: bool, mode: int) -> Iterator[int]:
 
 def create_complete(path: Path, data: bytes, mode: int = 0o666) -> None:
     """Create a file that has its complete content as soon as it has its name. Raises FileExistsError if the name is taken,
-    another OSError if it cannot be written. `mode`: as in `write_whole`."""
-    part, handle = _new(path, PART, mode)
+    another OSError if it cannot be written. `mode`: as in `write_atomically`."""
+    part, handle = _open_new(path, PART, mode)
     try:
         with os.fdopen(handle, "wb") as file:
             file.write(data)
@@ -162,7 +162,7 @@ def create_complete(path: Path, data: bytes, mode: int = 0o666) -> None:
 
 
 @contextmanager
-def _placed(part: str, path: Path, sync: bool) -> Iterator[None]:
+def _move_into_place(part: str, path: Path, sync: bool) -> Iterator[None]:
     """Move what has been written to its place. If anything fails, remove it, and make an OSError name `path`."""
     try:
         yield

@@ -70,9 +70,9 @@ class Stage:
         """Wait until so many workers have come."""
         from distributed import Client
 
-        from antdsl.executors.cluster import security_of
+        from antdsl.executors.cluster import load_security
 
-        with Client(self.address, security=security_of(self.tls), set_as_default=False) as client:
+        with Client(self.address, security=load_security(self.tls), set_as_default=False) as client:
             client.wait_for_workers(count, timeout=60)
 
     def _start(self, module: str, *words: str, blocks: int = 0, **environment: str) -> subprocess.Popen[bytes]:

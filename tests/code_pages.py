@@ -143,9 +143,9 @@ def said(example: Example, folder: Path) -> str:
 
 def _checked(words: tuple[str, ...]) -> str:
     from antdsl.diagnostics import Report
-    from antdsl.diagnostics.ignoring import judged
+    from antdsl.diagnostics.ignoring import apply_ignores
     from antdsl.diagnostics.render import render
-    from antdsl.files import sources
+    from antdsl.files import load_sources
     from antdsl.loading import Parsed
     from antdsl.pipeline import Choices, check_path
 
@@ -154,7 +154,7 @@ def _checked(words: tuple[str, ...]) -> str:
     choices = Choices({name: Path(folder) for name, folder in grants.items()})
     parsed: Parsed = {}
     report = check_path(Path(words[-1]), choices, strict=strict, parsed=parsed)[1]
-    findings = judged(report, sources([Path(words[-1])], parsed), strict=strict).sorted()
+    findings = apply_ignores(report, load_sources([Path(words[-1])], parsed), strict=strict).sorted()
     report = Report([replace(one, severity="error") for one in findings] if strict else findings)
     return render(report, "full") if findings else ""
 
@@ -171,10 +171,10 @@ def _printed(words: tuple[str, ...]) -> str:
     from typer.testing import CliRunner
 
     from antdsl.cli import app
-    from antdsl.cli.exits import Stop
+    from antdsl.cli.exits import CommandError
 
     result = CliRunner().invoke(app, list(words))
-    if result.exception is not None and not isinstance(result.exception, (Stop, SystemExit)):
+    if result.exception is not None and not isinstance(result.exception, (CommandError, SystemExit)):
         raise result.exception
     return result.stderr or result.stdout
 

@@ -18,7 +18,7 @@ import pytest
 from hypothesis import settings
 
 if TYPE_CHECKING:
-    from antdsl.runtime import Built
+    from antdsl.runtime import BindingCache
 
 # Files that take longest are begun first, or at the end one process would be at work on one of them while the others wait.
 LONGEST = (
@@ -85,15 +85,15 @@ def _shared_meshes() -> Iterator[None]:
     if reuse is None:
         yield
         return
-    plain = reuse.Built.__init__
+    plain = reuse.BindingCache.__init__
 
-    def begin(built: Built) -> None:
+    def begin(built: BindingCache) -> None:
         plain(built)
         built._kept = SHARED_CACHE
 
     SHARED_CACHE.asked.clear()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reuse.Built, "__init__", begin)
+        patch.setattr(reuse.BindingCache, "__init__", begin)
         yield
     for key in SHARED_CACHE.keys() - SHARED_CACHE.asked:
         del SHARED_CACHE[key]

@@ -69,13 +69,13 @@ from antdsl.runtime import Options, bind, phases, step  # noqa: E402
 from antdsl.runtime.world import World  # noqa: E402
 from antdsl.source import Source  # noqa: E402
 from antdsl.syntax import format, parse  # noqa: E402
-from antdsl.syntax.grammar import write  # noqa: E402
+from antdsl.syntax.grammar import write_tables  # noqa: E402
 
 
 def scratched(world: World) -> None:
     """Give all who scratch what comes of it."""
     for population in world.populations.values():
-        for entry in population.effects.drained("scratch"):
+        for entry in population.effects.drain("scratch"):
             if entry.request.own is not None:
                 population.now[entry.request.own][entry.rows] += entry.arg(0) * entry.arg(1)
 
@@ -141,7 +141,7 @@ def meanings() -> list[tuple[str, ...]]:
 
 
 def main() -> None:
-    write()
+    write_tables()
     scene = FOLDER / "scene.yaml"
     shutil.copy(Path(__file__).resolve().parents[1] / "examples" / "minimal" / "ground.ply", FOLDER)
     (FOLDER / "ant.ant").write_text(PROGRAM, encoding="utf-8")

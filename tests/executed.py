@@ -31,10 +31,10 @@ class InThisProcess:
     def frame(self, place: int) -> int | None:
         return None
 
-    def notes(self) -> tuple[str, ...]:
+    def take_notes(self) -> tuple[str, ...]:
         return ()
 
-    def why_broken(self) -> str:
+    def break_reason(self) -> str:
         raise AssertionError
 
     def stop(self, executor: Executor) -> None:

@@ -25,7 +25,9 @@ class BodyFrames:
     def of(population: Population) -> BodyFrames:
         """The bodies of a population by id."""
         rows = population.in_id_order()
-        heading, up = (np.stack(vec.named(population.now, name), axis=1)[rows].astype(float) for name in ("heading", "up"))
+        heading, up = (
+            np.stack(vec.vector_registers(population.now, name), axis=1)[rows].astype(float) for name in ("heading", "up")
+        )
         ahead = heading / np.linalg.norm(heading, axis=1, keepdims=True)
         above = up - ahead * (up * ahead).sum(axis=1, keepdims=True)
         above /= np.linalg.norm(above, axis=1, keepdims=True)

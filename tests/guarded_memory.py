@@ -105,7 +105,7 @@ def main(arguments: list[str]) -> None:
     from antdsl.machine_code import machine
     from antdsl.runtime import Options, bind, state_hash, step
 
-    assert machine.available()
+    assert machine.is_available()
     usual = Options("numpy", on_fault="quarantine")
     native = Options("native", on_fault="quarantine", wait_for_code=True)
     steps, programs, *counts = map(int, arguments)

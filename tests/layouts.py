@@ -11,8 +11,8 @@ from random_programs import Author
 
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source
-from antdsl.syntax.blocks import Line, cut
-from antdsl.syntax.brackets import pair
+from antdsl.syntax.blocks import Line, cut_lines
+from antdsl.syntax.brackets import pair_brackets
 from antdsl.syntax.scan import Scan, Token, scan
 from antdsl.syntax.words import BODIES
 
@@ -23,7 +23,7 @@ FILES = sorted(path for folder in _FOLDERS for path in (ROOT / folder).rglob("*.
 
 def scanned(text: str) -> tuple[Scan, list[Token]]:
     scan_result = scan(Source("t.ant", text), Report())
-    tokens = pair(scan_result)
+    tokens = pair_brackets(scan_result)
     assert tokens is not None
     return scan_result, tokens
 
@@ -44,7 +44,7 @@ def pieces() -> dict[str, list[str]]:
     for path in FILES:
         text = path.read_text(encoding="utf-8")
         found_here, tokens = scanned(text)
-        walk(text, cut(found_here, tokens), "top")
+        walk(text, cut_lines(found_here, tokens), "top")
     return texts_by_rule
 
 

@@ -249,7 +249,7 @@ def find_walls(ground, crowd, agents: list[Agent]) -> None:
     """Give agents the walls before them."""
     if ground.meshes is None:
         return
-    rows = ground.meshes.rising(crowd.footing, crowd.position, np.array([3 * agent.half for agent in agents]), 1)
+    rows = ground.meshes.rows_near_rises(crowd.footing, crowd.position, np.array([3 * agent.half for agent in agents]), 1)
     looks = [(agents[i], ahead) for i in rows for ahead in agents[i].looks()]
     if looks:
         origins = np.array([agent.place + agent.normal * (0.06 * agent.half) for agent, _ in looks])

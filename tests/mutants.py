@@ -129,7 +129,7 @@ def texts(file: Path) -> dict[str, str]:
     for each in library.load():
         if isinstance(each, Kernel):
             source_lines: list[str] = []
-            sources._function(each.part, source_lines, {})
+            sources._describe_function(each.part, source_lines, {})
             if any(line.startswith(f"{module} ") for line in source_lines):
                 kernel_texts[f"{each.__module__}.{each.__name__}"] = each.text(machine.host())
     return kernel_texts

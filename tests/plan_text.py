@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Report
-from antdsl.loading import library
+from antdsl.loading import find_library
 from antdsl.plan import ir, lower, verify
 from antdsl.program import check
 from antdsl.program.model import Program
@@ -24,7 +24,7 @@ world {
 def program_of(text: str, world: str = WORLD) -> Program:
     """A checked program; `text` stands below a world with ground, stones, food and a nest."""
     file, report = parse(Source("test.ant", world + text))
-    program, findings = check(file, library)
+    program, findings = check(file, find_library)
     report.extend(findings)
     assert report.ok, [f"{d.span}: {d.code}: {d.message}" for d in report.errors]
     return program

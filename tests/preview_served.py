@@ -11,11 +11,11 @@ from typing import Any
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.frames import Opcode
 
-from antdsl.preview.live import Busy, Client
+from antdsl.preview.live import Client, QueueFull
 from antdsl.preview.requests import Ask
-from antdsl.preview.serving.addresses import Listening, listen
+from antdsl.preview.serving.addresses import ListeningSockets, listen
 from antdsl.preview.serving.guard import Guard
-from antdsl.preview.serving.pages import Pages, pages
+from antdsl.preview.serving.pages import PageFiles, load_pages
 from antdsl.preview.serving.server import Server
 
 SECONDS = 20  # that a test may take at most
@@ -32,7 +32,7 @@ class Noted:
 
     def ask(self, ask: Ask, client: Client) -> None:
         if self.busy:
-            raise Busy
+            raise QueueFull
         self.asks.append(ask)
         client.tell({"op": "outcome", "of": ask.op, "number": len(self.asks)})
 
@@ -49,8 +49,8 @@ class Noted:
 class Served:
     live: Noted
     guard: Guard
-    pages: Pages
-    listening: Listening
+    pages: PageFiles
+    listening: ListeningSockets
 
     @property
     def port(self) -> int:
@@ -114,7 +114,7 @@ class Served:
 @asynccontextmanager
 async def served(**live: Any) -> AsyncIterator[Served]:
     listening = listen(port=0)
-    server = Served(Noted(**live), Guard(listening.names), pages(), listening)
+    server = Served(Noted(**live), Guard(listening.names), load_pages(), listening)
     async with asyncio.timeout(SECONDS), Server(server.live, server.guard, server.pages, listening).running():
         yield server
 

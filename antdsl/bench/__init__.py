@@ -6,7 +6,7 @@ process, which shares its memory and start-up with nothing else. `ratios` holds 
 `tables` the texts for a page. Nothing here changes a result."""
 
 from antdsl.bench.cases import CASES, Case
-from antdsl.bench.costs import Cost, Job, Measured, measured
-from antdsl.bench.ratios import Ratio, in_turn, interval
+from antdsl.bench.costs import Cost, Job, Measurement, measure_in_process
+from antdsl.bench.ratios import Ratio, bootstrap_interval, measure_in_turn
 
-__all__ = ["CASES", "Case", "Cost", "Job", "Measured", "Ratio", "in_turn", "interval", "measured"]
+__all__ = ["CASES", "Case", "Cost", "Job", "Measurement", "Ratio", "bootstrap_interval", "measure_in_process", "measure_in_turn"]

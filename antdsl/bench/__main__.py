@@ -6,7 +6,7 @@ import json
 import sys
 import warnings
 
-from antdsl.bench.cases import NoCase
+from antdsl.bench.cases import CaseError
 from antdsl.bench.costs import Job
 
 
@@ -17,7 +17,7 @@ def main() -> None:
 
     try:
         measurement = measure(Job.from_json(json.loads(sys.argv[1])))
-    except NoCase as why:
+    except CaseError as why:
         raise SystemExit(str(why)) from None
     print(json.dumps(measurement.as_json()))
 

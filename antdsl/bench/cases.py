@@ -19,7 +19,7 @@ FRAMES = 100_000  # of a shot that is measured: more than anybody asks for
 FEW = 2_000  # foraging ants up to which the small scene is taken
 
 
-class NoCase(Exception):
+class CaseError(Exception):
     """A scene that cannot be opened, or that cannot have this number of agents. `report` has the findings, the message the
     rest."""
 
@@ -48,38 +48,38 @@ class Case:
     published_figures: str = ""
 
 
-def opened(path: Path, agents: int | None, *, frames: int = FRAMES) -> Shot:
+def open_shot(path: Path, agents: int | None, *, frames: int = FRAMES) -> Shot:
     """Return a scene's shot, with its world scaled to another number of agents. Raises NoCase."""
-    from antdsl.bench.scaling import scaled
+    from antdsl.bench.scaling import scale_setting
     from antdsl.pipeline import Choices, open_scene
     from antdsl.scene.values import parse_frames
 
     shot, report = open_scene(path, Choices(frames=parse_frames(f"1..{frames}")))
     if shot is None:
-        raise NoCase(f"`{path}` cannot be opened", report)
+        raise CaseError(f"`{path}` cannot be opened", report)
     if agents is None or agents == sum(crowd.count for crowd in shot.setting.crowds):
         return shot
     try:
-        return replace(shot, setting=scaled(shot.setting, agents))
+        return replace(shot, setting=scale_setting(shot.setting, agents))
     except ValueError as why:
-        raise NoCase(f"`{path.name}` cannot have {agents:,} agents: {why}") from None
+        raise CaseError(f"`{path.name}` cannot have {agents:,} agents: {why}") from None
 
 
-def _written(texts: Mapping[str, str]) -> Shot:
+def _open_texts(texts: Mapping[str, str]) -> Shot:
     """Return a shot from texts: `scene.yaml` and the files it names."""
     with tempfile.TemporaryDirectory() as folder:
         for name, text in texts.items():
             Path(folder, name).write_text(text, encoding="utf-8")
-        return opened(Path(folder, "scene.yaml"), None)
+        return open_shot(Path(folder, "scene.yaml"), None)
 
 
-def _example(name: str) -> Callable[[int | None], Shot]:
-    return lambda agents: opened(example_file(name), agents)
+def _example_maker(name: str) -> Callable[[int | None], Shot]:
+    return lambda agents: open_shot(example_file(name), agents)
 
 
 def _foraging(agents: int | None) -> Shot:
     small = agents is not None and agents <= FEW
-    return opened(example_file("foraging/scene.yaml" if small else "foraging/many.yaml"), agents)
+    return open_shot(example_file("foraging/scene.yaml" if small else "foraging/many.yaml"), agents)
 
 
 def _without_contacts(shot: Shot) -> Shot:
@@ -89,41 +89,41 @@ def _without_contacts(shot: Shot) -> Shot:
 
 def _boids(agents: int | None) -> Shot:
     count = agents or 15_000
-    scene = programs.plane_scene("boid", count, programs.seen_radius(count))
-    return _written({"scene.yaml": scene, "boid.ant": programs.BOIDS})
+    scene = programs.plane_scene("boid", count, programs.disc_radius(count))
+    return _open_texts({"scene.yaml": scene, "boid.ant": programs.BOIDS})
 
 
 def _crowd(agents: int | None) -> Shot:
     count = agents or 15_000
-    scene = programs.plane_scene("person", count, programs.seen_radius(count, programs.PERSON_SIGHT))
-    return _written({"scene.yaml": scene, "person.ant": programs.CROWD})
+    scene = programs.plane_scene("person", count, programs.disc_radius(count, programs.PERSON_SIGHT))
+    return _open_texts({"scene.yaml": scene, "person.ant": programs.CROWD})
 
 
 def _trails(agents: int | None) -> Shot:
     texts = {"scene.yaml": programs.trails_scene(agents or 15_000), "ant.ant": programs.TRAILS}
-    return _written({**texts, "ground.ply": programs.flat_ground(1_000.0)})
+    return _open_texts({**texts, "ground.ply": programs.flat_ground(1_000.0)})
 
 
 def _cluster(agents: int | None) -> Shot:
-    from antdsl.bench.scaling import gathered
+    from antdsl.bench.scaling import gather_crowds
 
     shot = _boids(agents)
-    return replace(shot, setting=gathered(shot.setting, 0.1))
+    return replace(shot, setting=gather_crowds(shot.setting, 0.1))
 
 
 def _node(agents: int | None) -> Shot:
     count = agents or 500
-    return _written({"scene.yaml": programs.plane_scene("ant", count, 70.0 * (count / 500) ** 0.5), "ant.ant": programs.NODE})
+    return _open_texts({"scene.yaml": programs.plane_scene("ant", count, 70.0 * (count / 500) ** 0.5), "ant.ant": programs.NODE})
 
 
 def _valley(agents: int | None) -> Shot:
-    return opened(_valley_file(agents), None)
+    return open_shot(_valley_file(agents), None)
 
 
 def _valley_file(agents: int | None) -> Path:
     names = {None: "five_hundred", 500: "five_hundred", 15_000: "many"}
     if agents not in names:
-        raise NoCase(f"the valley has 500 ants or 15,000, not {agents:,}")
+        raise CaseError(f"the valley has 500 ants or 15,000, not {agents:,}")
     return example_file(f"thesis/{names[agents]}.yaml")
 
 
@@ -143,7 +143,7 @@ def _valley_of_meshes(agents: int | None) -> Shot:
                 Path(place, each.name).write_bytes(each.read_bytes())
         for name, text in texts.items():
             Path(place, name).write_text(text, encoding="utf-8")
-        return opened(Path(place, "scene.yaml"), None)
+        return open_shot(Path(place, "scene.yaml"), None)
 
 
 def _without_voxels(text: str) -> list[str]:
@@ -182,10 +182,10 @@ CASES: Mapping[str, Case] = {
             sight=programs.PERSON_SIGHT,
         ),
         Case("cluster", "the boids, all within a tenth of the area", _cluster, (1_000, 15_000), sight=programs.SIGHT),
-        Case("flocking", "boids on a wavy ground with states", _example("flocking/scene.yaml"), (400, 15_000), sight=25.0),
-        Case("tunnel", "scouts dig through a hill, others follow", _example("tunnel/scene.yaml")),
-        Case("moods", "roaches with several machines of states", _example("moods/scene.yaml"), (200, 15_000)),
-        Case("anthill", "builders dig a nest out of a block", _example("anthill/scene.yaml")),
+        Case("flocking", "boids on a wavy ground with states", _example_maker("flocking/scene.yaml"), (400, 15_000), sight=25.0),
+        Case("tunnel", "scouts dig through a hill, others follow", _example_maker("tunnel/scene.yaml")),
+        Case("moods", "roaches with several machines of states", _example_maker("moods/scene.yaml"), (200, 15_000)),
+        Case("anthill", "builders dig a nest out of a block", _example_maker("anthill/scene.yaml")),
         Case(
             "node",
             "500 points that wander and keep apart: the work of one node",
@@ -213,4 +213,4 @@ CASES: Mapping[str, Case] = {
 
 def case_of(name: str) -> Case:
     """A case by its name, or one for a scene's path."""
-    return CASES.get(name) or Case(name, "a scene", lambda agents: opened(Path(name), agents))
+    return CASES.get(name) or Case(name, "a scene", lambda agents: open_shot(Path(name), agents))

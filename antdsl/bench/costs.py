@@ -98,7 +98,7 @@ class FullRun:
 
 
 @dataclass(frozen=True, slots=True)
-class Measured:
+class Measurement:
     """Results of a measuring process.
 
     Of the first backend: `set_up`; `memory`: the largest growth of the process in bytes, from before the binding; `full_run`;
@@ -124,10 +124,10 @@ class Measured:
         return asdict(self)
 
     @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Measured:
+    def from_json(data: Mapping[str, Any]) -> Measurement:
         """What `as_json` gave."""
         full_run = data["full_run"]
-        return Measured(
+        return Measurement(
             **{
                 **data,
                 "job": Job.from_json(data["job"]),
@@ -143,14 +143,14 @@ class Measured:
         return [one / two for one, two in zip(self.costs[name].cpu, self.costs[other].cpu, strict=True)]
 
 
-class Failed(Exception):
+class MeasuringError(Exception):
     """The process ended without a result; the message is what it said last."""
 
 
-def measured(job: Job) -> Measured:
+def measure_in_process(job: Job) -> Measurement:
     """What the process finds out. Raises Failed."""
     command = module_command("antdsl.bench", json.dumps(job.as_json()))
     process = subprocess.run(command, capture_output=True, text=True, env=module_environment())
     if process.returncode:
-        raise Failed((process.stderr.strip() or f"the process ended with {process.returncode}").splitlines()[-1])
-    return Measured.from_json(json.loads(process.stdout.splitlines()[-1]))
+        raise MeasuringError((process.stderr.strip() or f"the process ended with {process.returncode}").splitlines()[-1])
+    return Measurement.from_json(json.loads(process.stdout.splitlines()[-1]))

@@ -50,7 +50,7 @@ def counts_of(plan: Any, setting: Setting, backend: str = "numpy") -> Counts:
 def count_step(world: World) -> Counts:
     """Make a step and count it. The step has the same result as without counting."""
     counts: Counts = {}
-    with _numpy_counted(counts), _instructions_counted(world, counts), _functions_counted(counts):
+    with _count_numpy(counts), _count_instructions(world, counts), _count_functions(counts):
         step(world)
     own = getattr(world.backend, "counts", None)
     if own is not None:
@@ -62,7 +62,7 @@ def count_step(world: World) -> Counts:
 
 
 @contextmanager
-def _instructions_counted(world: World, counts: Counts) -> Iterator[None]:
+def _count_instructions(world: World, counts: Counts) -> Iterator[None]:
     backend = world.backend
     if type(backend) is not NumpyBackend:
         yield
@@ -72,7 +72,7 @@ def _instructions_counted(world: World, counts: Counts) -> Iterator[None]:
     scopes = {id(each.scope): each.scope for block in backend.metered.values() for each in block.instructions}
     plain = [(scope, scope.calls) for scope in scopes.values()]
     for scope, calls in plain:
-        scope.calls = [_counted(call, code, counts) for call, code in zip(calls, scope.code, strict=True)]
+        scope.calls = [_counting_call(call, code, counts) for call, code in zip(calls, scope.code, strict=True)]
     try:
         yield
     finally:
@@ -81,7 +81,7 @@ def _instructions_counted(world: World, counts: Counts) -> Iterator[None]:
         NumpyBackend.measure(backend, False)
 
 
-def _counted(call: Run, instruction: Instruction, counts: Counts) -> Run:
+def _counting_call(call: Run, instruction: Instruction, counts: Counts) -> Run:
     slots = (*instruction.inputs, *([instruction.out] if instruction.out >= 0 else []))
     size = instruction.scope.size
 
@@ -89,29 +89,29 @@ def _counted(call: Run, instruction: Instruction, counts: Counts) -> Run:
         call(v)
         counts["instructions"] += 1
         counts["elements"] += v[size]
-        counts["instruction_bytes"] += sum(_bytes(v[slot]) for slot in slots)
+        counts["instruction_bytes"] += sum(_byte_count(v[slot]) for slot in slots)
 
     return run
 
 
-def _bytes(value: Any) -> int:
+def _byte_count(value: Any) -> int:
     """Return the bytes of an array, or of the arrays in a tuple or a list."""
     if isinstance(value, np.ndarray):
         return value.nbytes
-    return sum(map(_bytes, value)) if isinstance(value, tuple | list) else 0
+    return sum(map(_byte_count, value)) if isinstance(value, tuple | list) else 0
 
 
 # --- functions of NumPy, by name ---------------------------------------------------------------------------------------
 
 
 @contextmanager
-def _numpy_counted(counts: Counts) -> Iterator[None]:
+def _count_numpy(counts: Counts) -> Iterator[None]:
     """Count the calls from outside NumPy to all functions in NumPy's namespace."""
     counts |= {"numpy_calls": 0, "numpy_bytes": 0}
     inside = [False]
     plain = {name: value for name, value in vars(np).items() if not name.startswith("_") and _is_function(value)}
     for name, value in plain.items():
-        setattr(np, name, _Counted(value, counts, inside))
+        setattr(np, name, _CountingFunction(value, counts, inside))
     try:
         yield
     finally:
@@ -123,7 +123,7 @@ def _is_function(value: Any) -> bool:
     return callable(value) and not isinstance(value, type)
 
 
-class _Counted:
+class _CountingFunction:
     """A NumPy function that counts its calls. Calls that it makes to other NumPy functions are not counted. It is equal to the
     original function and has its hash and module, so that a kernel built meanwhile names the original in its text."""
 
@@ -132,7 +132,7 @@ class _Counted:
         self.__module__ = getattr(function, "__module__", "numpy")
 
     def __eq__(self, other: object) -> bool:
-        return other is self._function or (isinstance(other, _Counted) and other._function is self._function)
+        return other is self._function or (isinstance(other, _CountingFunction) and other._function is self._function)
 
     def __hash__(self) -> int:
         return hash(self._function)
@@ -146,13 +146,15 @@ class _Counted:
         finally:
             self._inside[0] = False
         self._counts["numpy_calls"] += 1
-        self._counts["numpy_bytes"] += _bytes(arguments) + _bytes(tuple(named.values())) + _bytes(result)
+        self._counts["numpy_bytes"] += _byte_count(arguments) + _byte_count(tuple(named.values())) + _byte_count(result)
         return result
 
     def __getattr__(self, name: str) -> Any:
         value = getattr(self._function, name)
         return (
-            _Counted(value, self._counts, self._inside) if name in ("reduce", "accumulate", "at", "outer", "reduceat") else value
+            _CountingFunction(value, self._counts, self._inside)
+            if name in ("reduce", "accumulate", "at", "outer", "reduceat")
+            else value
         )
 
 
@@ -160,7 +162,7 @@ class _Counted:
 
 
 @contextmanager
-def _functions_counted(counts: Counts) -> Iterator[None]:
+def _count_functions(counts: Counts) -> Iterator[None]:
     counts["python_calls"] = 0
 
     def count_call(frame: FrameType, event: str, argument: object) -> None:

@@ -17,15 +17,15 @@ from typing import Any
 import numpy as np
 
 from antdsl.bench.cases import case_of
-from antdsl.bench.costs import BOUND, Cost, FullRun, Job, Measured, SetUp
+from antdsl.bench.costs import BOUND, Cost, FullRun, Job, Measurement, SetUp
 from antdsl.bench.counting import count_step
-from antdsl.bench.ratios import in_turn
+from antdsl.bench.ratios import measure_in_turn
 from antdsl.machine_code import machine
 from antdsl.machine_code.object_cache import VARIABLE
 from antdsl.numerics import stored_tables
 from antdsl.numerics.host import memory
 from antdsl.pipeline import Shot
-from antdsl.plan.traverse import blocks, needed, operands, statements
+from antdsl.plan.traverse import blocks, operands, required_nodes, statements
 from antdsl.resources import benchmark_file
 from antdsl.runtime import Options, World, bind, step
 from antdsl.runtime.backends import NativeBackend
@@ -37,41 +37,41 @@ _MOST_STEPS = 64
 _FEWEST_FRAMES = 8  # of a run
 
 
-def measure(job: Job) -> Measured:
+def measure(job: Job) -> Measurement:
     """Do a job. Raises NoCase for a scene that cannot be opened or scaled."""
-    with _folder_for_code():
+    with _use_empty_code_folder():
         return _measure(job)
 
 
-def _measure(job: Job) -> Measured:
-    start = _packages("native" in job.backends)
+def _measure(job: Job) -> Measurement:
+    start = _import_packages("native" in job.backends)
     case = case_of(job.case)
-    shot, compile_ = _timed(lambda: case.make(job.agents))
+    shot, compile_ = _time_call(lambda: case.make(job.agents))
     bare = case.bare(shot)
     initial_memory, _ = memory()
-    options = [Options(backend=_any(name), threads=job.threads) for name in job.backends]
-    world, bound_s = _timed(lambda: bind(bare.plan, bare.setting, options[0]))
-    _, first = _timed(lambda: step(world))
-    has_code, code = _timed(lambda: with_code(world))
+    options = [Options(backend=_untyped_name(name), threads=job.threads) for name in job.backends]
+    world, bound_s = _time_call(lambda: bind(bare.plan, bare.setting, options[0]))
+    _, first = _time_call(lambda: step(world))
+    has_code, code = _time_call(lambda: wait_for_code(world))
     worlds = {job.backends[0]: world}
     for name, each in zip(job.backends[1:], options[1:], strict=True):
         worlds[name] = bind(bare.plan, bare.setting, each)
         step(worlds[name])
-        with_code(worlds[name])
+        wait_for_code(worlds[name])
     agents = len(world)
-    runners: dict[str, Callable[[], None]] = {name: _stepper(each) for name, each in worlds.items()}
-    _, second = _timed(runners[job.backends[0]])
+    runners: dict[str, Callable[[], None]] = {name: _make_stepper(each) for name, each in worlds.items()}
+    _, second = _time_call(runners[job.backends[0]])
     for stepped in runners.values():
         stepped()
-    _, step_seconds = _timed(runners[job.backends[0]])
+    _, step_seconds = _time_call(runners[job.backends[0]])
     steps = job.steps or max(1, min(_MOST_STEPS, ceil(_TURN / max(step_seconds, 1e-6))))
     most = memory()[1]  # before the hand-written frame is there
     if job.bound:
-        runners[BOUND] = hand_written(agents)
-    costs = _turns(runners, worlds, steps, job.turns)
+        runners[BOUND] = make_hand_written_frame(agents)
+    costs = _measure_turns(runners, worlds, steps, job.turns)
     messages = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.messages()]
     load_seconds, load_messages = _time_code_load(world)
-    return Measured(
+    return Measurement(
         job=job,
         agents=agents,
         steps=steps,
@@ -79,27 +79,27 @@ def _measure(job: Job) -> Measured:
         set_up=SetUp(start, compile_, bound_s, first, code if has_code else None, load_seconds, second),
         memory=most - initial_memory,
         state=_state_bytes(world),
-        nodes=_nodes(shot),
+        nodes=_count_nodes(shot),
         counts=count_step(world),
-        neighbours=neighbours(world, case.sight) if case.sight else None,
-        full_run=_full_run(shot, options[0], frames_of_run(step_seconds)) if job.full_run else None,
+        neighbours=mean_neighbours(world, case.sight) if case.sight else None,
+        full_run=_measure_full_run(shot, options[0], count_run_frames(step_seconds)) if job.full_run else None,
         told=tuple(dict.fromkeys(messages + [f"{job.backends[0]}: {sentence}" for sentence in load_messages])),
     )
 
 
-def _any(name: str) -> Any:
+def _untyped_name(name: str) -> Any:
     """Return the name of a backend, already looked up in `BACKENDS`, without its type."""
     return name
 
 
 @contextmanager
-def _folder_for_code() -> Iterator[None]:
+def _use_empty_code_folder() -> Iterator[None]:
     """Store machine code and mesh tables in an empty folder while the context is open. Those that other runs have cached are not
     searched."""
     previous_values = {name: os.environ.get(name) for name in (VARIABLE, stored_tables.KIND.variable)}
     with tempfile.TemporaryDirectory(prefix="antdsl-code-") as folder:
         os.environ |= dict.fromkeys(previous_values, folder)
-        ready.forget()
+        ready.release_code()
         stored_tables.forget()
         try:
             yield
@@ -108,52 +108,52 @@ def _folder_for_code() -> Iterator[None]:
                 os.environ.pop(name)
                 if value is not None:
                     os.environ[name] = value
-            ready.forget()
+            ready.release_code()
             stored_tables.forget()
 
 
-def _packages(llvm: bool) -> float:
+def _import_packages(llvm: bool) -> float:
     """Return the CPU seconds of this process after the import of all packages that steps need. `llvm`: include the packages that
     build machine code."""
     import antdsl.casting.rays
     import antdsl.runtime.backends  # noqa: F401
 
     if llvm:
-        machine.available()
+        machine.is_available()
     return process_time()
 
 
-def _timed(work: Callable[[], Any]) -> tuple[Any, float]:
+def _time_call(work: Callable[[], Any]) -> tuple[Any, float]:
     began = process_time()
     result = work()
     return result, process_time() - began
 
 
-def _stepper(world: World) -> Callable[[], None]:
+def _make_stepper(world: World) -> Callable[[], None]:
     return lambda: step(world)
 
 
-def with_code(world: World) -> bool:
+def wait_for_code(world: World) -> bool:
     """Wait for the machine code of a world's backend, so that no measured step runs without it. Return whether there is any."""
     if not isinstance(world.backend, NativeBackend):
         return False
-    world.backend.have_code(world)
+    world.backend.wait_for_code(world)
     return world.backend.ready is not None
 
 
 def _time_code_load(world: World) -> tuple[float | None, list[str]]:
     """Return the CPU seconds in which a world loads machine code that another run has cached, and messages. The seconds are None
     without machine code, or if it cannot be stored; the messages say why."""
-    if not with_code(world):
+    if not wait_for_code(world):
         return None, []
-    ready.forget()
+    ready.release_code()
     again = NativeBackend(world.plan)
-    _, seconds = _timed(lambda: again.have_code(world))
+    _, seconds = _time_call(lambda: again.wait_for_code(world))
     messages = again.messages()
     return (None if messages else seconds), messages
 
 
-def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:
+def _measure_turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:
     """Measure `turns` turns of `steps` steps each, after WARM uncounted steps of each runner."""
     for run in runners.values():
         for _ in range(WARM):
@@ -170,7 +170,7 @@ def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], ste
             run()
         return (process_time() - worked) / steps, (perf_counter() - passed) / steps
 
-    turn_costs = in_turn(measure_turn, len(names), turns, warm=0)
+    turn_costs = measure_in_turn(measure_turn, len(names), turns, warm=0)
     count = turns * steps
     costs = {}
     for number, name in enumerate(names):
@@ -181,7 +181,7 @@ def _turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], ste
     return costs
 
 
-def hand_written(agents: int) -> Callable[[], None]:
+def make_hand_written_frame(agents: int) -> Callable[[], None]:
     """Return a hand-written frame of `agents` foraging ants, from a checkout's `tests/benchmarks/bound.py`. Raises
     FileNotFoundError if it is missing."""
     file = benchmark_file("bound.py")
@@ -208,16 +208,16 @@ def _state_bytes(world: World) -> int:
     return sum(arrays.values())
 
 
-def _nodes(shot: Shot) -> int:
+def _count_nodes(shot: Shot) -> int:
     """Return the number of nodes of the plan: its operations, each counted once per block."""
     return sum(
-        len(needed([node for _, each in statements(block) for node in operands(each)]))
+        len(required_nodes([node for _, each in statements(block) for node in operands(each)]))
         for species in shot.plan.species.values()
         for _, block in blocks(species)
     )
 
 
-def neighbours(world: World, sight: float) -> float:
+def mean_neighbours(world: World, sight: float) -> float:
     """Return the mean number of other agents within `sight` mm of an agent."""
     from scipy.spatial import cKDTree
 
@@ -225,13 +225,13 @@ def neighbours(world: World, sight: float) -> float:
     return float(tree.count_neighbors(tree, sight) / tree.n - 1)
 
 
-def frames_of_run(step: float) -> int:
+def count_run_frames(step: float) -> int:
     """Return how many frames of a run to measure, where a bare step takes `step` seconds: about two seconds' worth, within
     limits."""
     return min(max(int(2.0 / max(8.0 * step, 1e-6)), _FEWEST_FRAMES), _MOST_STEPS)
 
 
-def _full_run(shot: Shot, options: Options, frames: int) -> FullRun:
+def _measure_full_run(shot: Shot, options: Options, frames: int) -> FullRun:
     """Measure `frames` frames of a run after WARM, then the same number of steps of the same world without writing."""
     from antdsl.outputs.recording import begin, record
     from antdsl.scene.values import parse_frames
@@ -242,19 +242,19 @@ def _full_run(shot: Shot, options: Options, frames: int) -> FullRun:
         recording = begin(shot, Path(folder, "cache"), options, resume=False, force=False)
         for number, _ in enumerate(record(recording), 1):
             if number == WARM:
-                with_code(recording.world)
+                wait_for_code(recording.world)
                 began = process_time(), perf_counter()
         cpu, wall = process_time() - began[0], perf_counter() - began[1]
     world = bind(shot.plan, shot.setting, replace(options, feet=True))
     for _ in range(WARM - 1):
         step(world)
-    with_code(world)
+    wait_for_code(world)
     world.worked.clear()
 
     def run() -> None:
         for _ in range(frames):
             step(world)
 
-    _, alone = _timed(run)
+    _, alone = _time_call(run)
     feet = world.worked.get("feet", 0.0)
     return FullRun(frames, cpu / frames, wall / frames, alone / frames, feet / frames)

@@ -128,6 +128,6 @@ crowd: [{{species: ant, from: ant.ant, count: {agents}, place: {{on: ground, rad
 """
 
 
-def seen_radius(agents: int, sight: float = SIGHT) -> float:
+def disc_radius(agents: int, sight: float = SIGHT) -> float:
     """Return the radius (mm) of the disc in which each of `agents` agents has about nine others within `sight`."""
     return sight * sqrt(agents / NEIGHBOURS)

@@ -26,12 +26,12 @@ class Ratio:
     def __str__(self) -> str:
         return f"{self.mean:.3f} ({self.low:.3f} to {self.high:.3f})"
 
-    def above(self, most: float) -> bool:
+    def is_above(self, most: float) -> bool:
         """Return whether the whole interval lies above a ratio: slower than that, and not by chance."""
         return self.low > most
 
 
-def interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
+def bootstrap_interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
     """Return the mean of some ratios, with the 2.5th and 97.5th percentile of bootstrap means (B. Efron, Annals of Statistics 7,
     1979). The same ratios give the same interval. Raises ValueError for none."""
     if not ratios:
@@ -41,7 +41,7 @@ def interval(ratios: Sequence[float], seed: int = 1) -> Ratio:
     return Ratio(fmean(ratios), means[round(0.025 * _RESAMPLED)], means[round(0.975 * _RESAMPLED)])
 
 
-def in_turn(measure: Callable[[int], T], runners: int, count: int, warm: int = 1) -> list[tuple[T, ...]]:
+def measure_in_turn(measure: Callable[[int], T], runners: int, count: int, warm: int = 1) -> list[tuple[T, ...]]:
     """Measure the cost of runners 0, 1, … in turn, `count` times; the runner that starts changes from turn to turn. `warm` runs
     of each before are not counted: they fill caches."""
     for _ in range(warm):

@@ -9,7 +9,7 @@ import numpy as np
 from antdsl.scene.setting import Point, Setting
 
 
-def scaled(setting: Setting, agents: int) -> Setting:
+def scale_setting(setting: Setting, agents: int) -> Setting:
     """Return the setting with `agents` agents in total, with lengths of the world scaled about its origin so that density stays
     equal. Meshes, positions of items and crowds, and curves are scaled. Sizes of agents and items, cells of fields and radii of
     behaviours are not.
@@ -43,7 +43,7 @@ def scaled(setting: Setting, agents: int) -> Setting:
     return replace(setting, crowds=tuple(crowds), surfaces=surfaces, obstacles=obstacles, items=items, curves=curves)
 
 
-def gathered(setting: Setting, share: float) -> Setting:
+def gather_crowds(setting: Setting, share: float) -> Setting:
     """Return the setting with every crowd that has a radius in `share` of its area, around the same point."""
     crowds = tuple(
         replace(crowd, place=replace(crowd.place, radius=crowd.place.radius * share**0.5)) if crowd.place.radius else crowd

@@ -13,9 +13,9 @@ from typing import Any
 
 from antdsl import __version__
 from antdsl.bench.cases import CASES
-from antdsl.bench.costs import BOUND, Measured
-from antdsl.bench.ratios import LEAST_PAIRS, interval
-from antdsl.numerics.host import processor
+from antdsl.bench.costs import BOUND, Measurement
+from antdsl.bench.ratios import LEAST_PAIRS, bootstrap_interval
+from antdsl.numerics.host import processor_name
 
 PACKAGES = ("numpy", "scipy", "llvmlite", "open3d", "open3d-cpu")
 
@@ -25,16 +25,16 @@ class Result:
     """A case with one number of agents: one measured process for each backend, and one process in which several backends took
     turns."""
 
-    alone: tuple[Measured, ...]
-    together: Measured | None = None
+    alone: tuple[Measurement, ...]
+    together: Measurement | None = None
 
 
 def ratio_text(ratios: Sequence[float]) -> str:
     """Return the mean, with its interval if there are enough turns for one."""
-    return str(interval(ratios)) if len(ratios) >= LEAST_PAIRS else f"{mean(ratios):.2f} ({len(ratios)} turns)"
+    return str(bootstrap_interval(ratios)) if len(ratios) >= LEAST_PAIRS else f"{mean(ratios):.2f} ({len(ratios)} turns)"
 
 
-def backend_of(measured: Measured) -> str:
+def backend_of(measured: Measurement) -> str:
     """Return the backend of a process that measured only one."""
     return measured.job.backends[0]
 
@@ -47,14 +47,14 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def set_up_of(measurement: Measured) -> list[str]:
+def set_up_of(measurement: Measurement) -> list[str]:
     """Return the values that SET_UP names; empty for those that do not exist."""
     one = measurement.set_up
     seconds = (one.start, one.compile, one.bind, one.first, one.code, one.kept, one.second)
     return ["" if each is None else f"{each:.2f}" if each >= 0.1 else f"{each:.4f}" for each in seconds]
 
 
-def full_run_of(measurement: Measured) -> list[str]:
+def full_run_of(measurement: Measurement) -> list[str]:
     """Return CPU and wall milliseconds and frames per second of a run, and CPU milliseconds of its step and feet. Entries are
     empty if no run was measured."""
     run = measurement.full_run
@@ -64,8 +64,8 @@ def full_run_of(measurement: Measured) -> list[str]:
     return [*ms[:2], f"{1 / max(run.wall, 1e-9):.1f}", *ms[2:]]
 
 
-def whole_step(result: Result) -> list[list[str]]:
-    """Return a row of `HEADS` for each backend. Bytes are those of the stored values of agents; `grew by` refers to the whole
+def step_rows(result: Result) -> list[list[str]]:
+    """Return a row of `COLUMNS` for each backend. Bytes are those of the stored values of agents; `grew by` refers to the whole
     process."""
     rows = []
     for measurement in result.alone:
@@ -104,7 +104,7 @@ def phases(result: Result) -> tuple[list[str], list[list[str]]]:
     return columns, rows
 
 
-def between(result: Result) -> list[str]:
+def compare_backends(result: Result) -> list[str]:
     """A line for each backend after the first: its ratio to the first, from turns in one process."""
     if result.together is None:
         return []
@@ -138,7 +138,7 @@ def describe_result(result: Result) -> str:
 def as_json(results: Sequence[Result]) -> dict[str, Any]:
     """All that was measured, with the ratios that tables show."""
     return {
-        "machine": machine(),
+        "machine": describe_machine(),
         "results": [
             {
                 "alone": [measurement.as_json() for measurement in result.alone],
@@ -153,25 +153,25 @@ def from_json(data: dict[str, Any]) -> list[Result]:
     """The results of what `as_json` gave."""
     return [
         Result(
-            tuple(Measured.from_json(each) for each in one["alone"]),
-            None if one["together"] is None else Measured.from_json(one["together"]),
+            tuple(Measurement.from_json(each) for each in one["alone"]),
+            None if one["together"] is None else Measurement.from_json(one["together"]),
         )
         for one in data["results"]
     ]
 
 
-def markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+def markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """A table of a page."""
     lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
     lines += ["| " + " | ".join(row) + " |" for row in rows]
     return "\n".join(lines) + "\n"
 
 
-def machine() -> dict[str, str]:
+def describe_machine() -> dict[str, str]:
     """Return a description of the machine, by name: date, machine, system, versions."""
     details = {
         "date": datetime.date.today().isoformat(),
-        "machine": f"{processor()}, {os.cpu_count()} cores",
+        "machine": f"{processor_name()}, {os.cpu_count()} cores",
         "system": f"{platform.system()} {platform.machine()}",
         "antdsl": __version__,
         "python": platform.python_version(),

@@ -31,16 +31,16 @@ def orientation(heading: Array, up: Array) -> Array:
     ahead = unit_or(ahead, level)
     side = np.cross(ahead, up)
     matrix = np.stack([ahead, up, side], axis=2)
-    return _quaternion(matrix)
+    return _quaternions_of(matrix)
 
 
 def turned(orient: Array, vectors: Array) -> Array:
     """`vectors` (n, …, 3) turned by the quaternions `orient` (n, 4) of the same row."""
-    matrix = rotation(orient).astype(vectors.dtype)
+    matrix = rotation_matrices(orient).astype(vectors.dtype)
     return np.asarray(np.einsum("nij,n...j->n...i", matrix, vectors, optimize=True))
 
 
-def rotation(orient: Array) -> Array:
+def rotation_matrices(orient: Array) -> Array:
     """Matrices (n, 3, 3) of quaternions (n, 4) as x, y, z, w; a zero quaternion turns nothing."""
     length = np.linalg.norm(orient, axis=1, keepdims=True)
     q = np.where(length > 1e-12, orient / np.maximum(length, 1e-12), np.array([0.0, 0.0, 0.0, 1.0]))
@@ -53,7 +53,7 @@ def rotation(orient: Array) -> Array:
     return np.stack([np.stack(row, axis=1) for row in rows], axis=1)
 
 
-def _quaternion(m: Array) -> Array:
+def _quaternions_of(m: Array) -> Array:
     """Return quaternions of rotation matrices (n, 3, 3). Starts from the largest of the four components, so that no divisor is
     small."""
     xx, yy, zz = m[:, 0, 0], m[:, 1, 1], m[:, 2, 2]

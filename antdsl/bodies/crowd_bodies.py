@@ -11,9 +11,9 @@ import numpy as np
 
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.definition import Clip, Definition, language_names
-from antdsl.bodies.agents.leg_chains import legs_of
+from antdsl.bodies.agents.leg_chains import legs_data
 from antdsl.bodies.agents.packed import digest
-from antdsl.bodies.files.reading import definition_at
+from antdsl.bodies.files.reading import load_definition
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import COLLISION, own_layer
 from antdsl.diagnostics import Label, Report
@@ -21,7 +21,7 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.limits import LAYERS_WORN
 from antdsl.program.model import Channel, ClipTest, Look, Machine, Play, Program, Species, Wear
 from antdsl.program.traverse import parts
-from antdsl.scene.library_bodies import BODY_WORDS, body_of
+from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
 from antdsl.scene.load import Scene
 from antdsl.scene.setting import ClipData, LegsData, RoomData
 from antdsl.source import Span
@@ -44,7 +44,7 @@ class CrowdBodies:
     hashes: Mapping[str, str] = field(default_factory=dict)
 
 
-class Walkers(Mapping[str, LegsData]):
+class LegsBySpecies(Mapping[str, LegsData]):
     """The legs of species with a body that has legs and gaits. `bodies`: by species, a definition or the name of one of the
     library. The legs are computed on first access: most commands do not need them."""
 
@@ -54,7 +54,7 @@ class Walkers(Mapping[str, LegsData]):
     @cached_property
     def _legs(self) -> dict[str, LegsData]:
         definitions = {name: library_body(body) if isinstance(body, str) else body for name, body in self._bodies.items()}
-        return {name: legs_of(body) for name, body in definitions.items() if body.legs and body.gaits}
+        return {name: legs_data(body) for name, body in definitions.items() if body.legs and body.gaits}
 
     def __getitem__(self, species: str) -> LegsData:
         return self._legs[species]
@@ -71,26 +71,28 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
     the body's place in the scene, with a label where the program uses what is missing."""
     report = Report()
     files: dict[str, Definition | None] = {}
-    named = _named(scene)
+    named = _named_bodies(scene)
     chosen = {line.species for line in scene.model.crowd if line.body is not None}
     worn: dict[str, Definition] = {}
-    words = _library(scene, program)
+    words = _library_bodies(scene, program)
     library_species = {line.species for line in scene.model.crowd if line.wear}
-    library_species |= {n for n, s in program.species.items() if any(True for m in s.machines for _ in (*_plays(m), *_shows(m)))}
+    library_species |= {
+        n for n, s in program.species.items() if any(True for m in s.machines for _ in (*_play_lines(m), *_display_lines(m)))
+    }
     library = {name: library_body(text) for name, text in words.items() if name in library_species}
     for species, (text, place) in named.items():
         if text in BODY_WORDS:
             if species in library:
-                _check(program.species[species], library[species], text, place, report, species not in chosen)
+                _check_body(program.species[species], library[species], text, place, report, species not in chosen)
             continue
         if text not in files:
-            files[text], findings = definition_at(text, scene.roots, place)
+            files[text], findings = load_definition(text, scene.roots, place)
             report.extend(findings)
         definition = files[text]
         if definition is not None and species in program.species:
-            _check(program.species[species], definition, text, place, report)
+            _check_body(program.species[species], definition, text, place, report)
             worn[species] = definition
-    _wears(scene, program, worn | library, report)
+    _check_layers(scene, program, worn | library, report)
     definitions = {text: definition for text, definition in files.items() if definition is not None}
     bodies = CrowdBodies(
         worn,
@@ -98,20 +100,20 @@ def crowd_bodies(scene: Scene, program: Program) -> tuple[CrowdBodies, Report]:
             species: {name: clip_data(clip, body) for name, clip in body.clips.items()}
             for species, body in (worn | library).items()
         },
-        {species: room_of(body) for species, body in worn.items()},
-        Walkers({**worn, **words}),
+        {species: body_room(body) for species, body in worn.items()},
+        LegsBySpecies({**worn, **words}),
         {text: digest(body) for text, body in definitions.items()},
     )
     return bodies, report
 
 
-def _wears(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
+def _check_layers(scene: Scene, program: Program, worn: Mapping[str, Definition], report: Report) -> None:
     """Report layers that crowd lines wear and their body does not have, and more layers than can be distinguished."""
     layers: dict[str, set[str]] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.species not in program.species:
             continue
-        appearances = (each for machine in program.species[line.species].machines for each in _shows(machine))
+        appearances = (each for machine in program.species[line.species].machines for each in _display_lines(machine))
         named = layers.setdefault(line.species, {each.layer for each in appearances if isinstance(each, Wear)})
         dressed = tuple(dict.fromkeys(name for part in line.layers() for name in part if name))
         named |= set(dressed)
@@ -138,38 +140,38 @@ def clip_data(clip: Clip, body: Definition) -> ClipData:
     return ClipData(seconds, clip.stride / body.length, clip.loop, marks)
 
 
-def room_of(body: Definition) -> RoomData:
+def body_room(body: Definition) -> RoomData:
     """Return the collision size of a body: length and width of the box of its layer `collision` in the rest pose. Without that
     layer, the layer that it always shows is used. The length is never less than the width."""
     layer = body.layers.get(COLLISION) or own_layer(body)
     least, most = rest_box(replace(body, layers={layer.name: layer}))
     corners = np.array([[(least, most)[k >> axis & 1][axis] for axis in range(3)] for k in range(8)])
-    turned = corners @ body.base()[:3, :3].T
+    turned = corners @ body.base_matrix()[:3, :3].T
     low, high = turned.min(axis=0), turned.max(axis=0)
     width = max(float(high[2] - low[2]), 1e-3)
     middle = (low + high) / 2
     return RoomData(max(float(high[0] - low[0]), width), width, float(middle[1]), float(middle[0]))
 
 
-def _library(scene: Scene, program: Program) -> dict[str, str]:
+def _library_bodies(scene: Scene, program: Program) -> dict[str, str]:
     """Return the library body of each species that has no body file."""
-    named = _named(scene)
-    words = {name: named[name][0] if name in named else body_of(name) for name in program.species}
+    named = _named_bodies(scene)
+    words = {name: named[name][0] if name in named else body_for_species(name) for name in program.species}
     return {name: text for name, text in words.items() if text in BODY_WORDS}
 
 
-def _named(scene: Scene) -> dict[str, tuple[str, Span]]:
+def _named_bodies(scene: Scene) -> dict[str, tuple[str, Span]]:
     """Return the body of each species: from its first crowd line that names one, else the library body that matches its name."""
     bodies: dict[str, tuple[str, Span]] = {}
     for number, line in enumerate(scene.model.crowd):
         if line.body is not None:
             bodies.setdefault(line.species, (line.body, scene.span("crowd", number, "body")))
     for number, line in enumerate(scene.model.crowd):
-        bodies.setdefault(line.species, (body_of(line.species), scene.span("crowd", number, "species")))
+        bodies.setdefault(line.species, (body_for_species(line.species), scene.span("crowd", number, "species")))
     return bodies
 
 
-def _check(species: Species, body: Definition, text: str, place: Span, report: Report, by_name: bool = False) -> None:
+def _check_body(species: Species, body: Definition, text: str, place: Span, report: Report, by_name: bool = False) -> None:
     """Report the clips, transform groups and marks that a species needs and its body lacks. `by_name`: no line names a body, so
     it was chosen by the species' name."""
     lacks: dict[str, tuple[str, Label]] = {}  # help text and place of each missing name
@@ -187,21 +189,21 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
     marks = [mark for clip in body.clips.values() for mark in clip.marks]
     channels = language_names(each.name for each in body.rig.channels).values()
     for machine in species.machines:
-        for appearance in _shows(machine):
+        for appearance in _display_lines(machine):
             if isinstance(appearance, Wear):
                 want("layer", appearance.layer, body.layers, Label(appearance.span, "worn here"))
             elif isinstance(appearance, Channel):
                 want("channel", appearance.channel, channels, Label(appearance.span, "set here"))
             else:
                 want("transform group", appearance.group, body.groups, Label(appearance.span, "turned here"))
-        for line in _plays(machine):
+        for line in _play_lines(machine):
             for clip in (line.clip, *line.blend_clips):
                 want("clip", clip, body.clips, Label(line.span, "played here"))
             want("transform group", line.on, body.groups, Label(line.span, "named here"))
     for test in parts(species):
         if isinstance(test, ClipTest):
             want("mark", test.mark, marks, Label(test.span, "requested here"))
-    for what, help, label in _marks_elsewhere(species, body):
+    for what, help, label in _find_misplaced_marks(species, body):
         lacks.setdefault(what, (help, label))
     if lacks:
         helps = [help if len(lacks) == 1 else f"{name}: {help}" for name, (help, _) in lacks.items()]
@@ -212,7 +214,7 @@ def _check(species: Species, body: Definition, text: str, place: Span, report: R
         report.error("unknown-name", words, place, "; ".join(helps), labels=labels)
 
 
-def _marks_elsewhere(species: Species, body: Definition) -> Iterator[tuple[str, str, Label]]:
+def _find_misplaced_marks(species: Species, body: Definition) -> Iterator[tuple[str, str, Label]]:
     """Yield the marks that a state waits for, and that other clips of the body have but the state's clip does not. Each comes
     with a message, a help text and its place."""
     having: dict[str, list[str]] = {}
@@ -240,12 +242,12 @@ def _marks_elsewhere(species: Species, body: Definition) -> Iterator[tuple[str, 
                 )
 
 
-def _plays(machine: Machine) -> Iterator[Play]:
+def _play_lines(machine: Machine) -> Iterator[Play]:
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, Play))
 
 
-def _shows(machine: Machine) -> Iterator[Wear | Channel | Look]:
+def _display_lines(machine: Machine) -> Iterator[Wear | Channel | Look]:
     """What states of a machine show beside clips."""
     for state in machine.states:
         yield from (line for line in state.body if isinstance(line, (Wear, Channel, Look)))

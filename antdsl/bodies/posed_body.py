@@ -18,9 +18,9 @@ from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.definition import STATE, Binding, Capture, Definition, Layer, Shape
 from antdsl.bodies.agents.deformers import bound
-from antdsl.bodies.agents.driving import Driven, with_channels, with_looks
+from antdsl.bodies.agents.driving import DrivenPose, with_channels, with_looks
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs
-from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
+from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, playing_of_machines
 from antdsl.bodies.agents.poses import Poses, clip_table, local_transforms
 from antdsl.bodies.agents.varied_bodies import colours_of, with_scales
 from antdsl.bodies.body import vertex_normals
@@ -32,7 +32,7 @@ ACROSS = 3  # to the longest side of a shape
 
 
 BODY, CLOSE, COLLISION = "body", "close", "collision"  # layers
-NOTHING = Driven()
+NOTHING = DrivenPose()
 _GOLDEN = (5**0.5 - 1) / 2  # multiples of it are spread evenly over a turn
 
 
@@ -45,18 +45,18 @@ class PosedBody:
     have are ignored. The base layer is `body` if it exists, else the first not called `collision`. `fine` is for agents that are
     large in a picture, `coarse` for small ones, `distant` for those of some pixels."""
 
-    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | Played], layers: Sequence[str] = ()) -> None:
+    def __init__(self, definition: Definition, clips: Sequence[tuple[str, str] | PlayedClip], layers: Sequence[str] = ()) -> None:
         self.clips, self.layers, self._whole, self.name = tuple(clips), tuple(layers), definition, definition.name
         self._played = (*self.clips, (definition.idle, ""))
         self._table = clip_table(definition)
-        self._bindings = _bindings(definition, layers)
+        self._bindings = _visible_bindings(definition, layers)
         names = {binding.shape for binding in self._bindings}
-        shaded = {n: _with_normals(shape) if n in names else shape for n, shape in _needed(definition, names).items()}
+        shaded = {n: _with_normals(shape) if n in names else shape for n, shape in _needed_shapes(definition, names).items()}
         self._definition = replace(definition, shapes=shaded)
-        base = definition.base()[:3, :3]
+        base = definition.base_matrix()[:3, :3]
         self._base = base.astype(np.float32)
         self._turn = (base * definition.length).astype(np.float32)
-        parts = [_parted(shaded[binding.shape], definition.materials) for binding in self._bindings]
+        parts = [_split_by_material(shaded[binding.shape], definition.materials) for binding in self._bindings]
         starts = np.cumsum([0, *(len(shaded[binding.shape].points) for binding in self._bindings)])
         counts = np.cumsum([0, *(len(part[0]) for part in parts)])
         none = np.zeros(0, np.int64)
@@ -68,7 +68,7 @@ class PosedBody:
         self.tint = np.concatenate([np.zeros(0, np.float32), *(part[3] for part in parts)])
         self.material = np.concatenate([np.zeros(0, "U1"), *(part[4] for part in parts)])
 
-    def colours(self, driven: Driven) -> Floats:
+    def colours(self, driven: DrivenPose) -> Floats:
         """Return linear colours of materials float32[n, v, 3] of agents, or [1, v, 3] if all have the same."""
         return colours_of(self._definition.variation, driven.draws, self.material, self.own)
 
@@ -92,16 +92,16 @@ class PosedBody:
     def coarse(self) -> PosedBody:
         """Return the version with fewer triangles, for agents that are small in a picture. If there is a layer `close`, the layer
         `body` is coarse enough as it is."""
-        return self if CLOSE in self._whole.layers else PosedBody(coarse(self._whole), self.clips, self.layers)
+        return self if CLOSE in self._whole.layers else PosedBody(coarse_definition(self._whole), self.clips, self.layers)
 
     @cached_property
     def distant(self) -> PosedBody:
         """Return the version with the fewest triangles, for agents of a few pixels."""
         layers = {name: layer for name, layer in self._whole.layers.items() if name != CLOSE}
-        drawn = _needed(self._whole, {binding.shape for layer in layers.values() for binding in _all(layer)})
-        return PosedBody(coarse(replace(self._whole, layers=layers, shapes=drawn)), self.clips, self.layers)
+        drawn = _needed_shapes(self._whole, {binding.shape for layer in layers.values() for binding in _layer_bindings(layer)})
+        return PosedBody(coarse_definition(replace(self._whole, layers=layers, shapes=drawn)), self.clips, self.layers)
 
-    def idling(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
+    def idle_clips(self, ids: NDArray[Any], seconds: float) -> tuple[MachineClips, ...]:
         """Return what agents with these ids play by default: the definition's idle clip, each with a different start, `seconds`
         from frame 0. Empty if there is no such clip."""
         clip = self._whole.clips.get(self._whole.idle)
@@ -124,8 +124,8 @@ class PosedBody:
         own, layers = own_layer(self._whole), self._whole.layers
         vertex_masks = []
         for binding in self._bindings:
-            worn = [k for k, name in enumerate(self.layers) if name in layers and binding in _all(layers[name])]
-            mask = 0 if binding in _all(own) else sum(1 << k for k in worn)
+            worn = [k for k, name in enumerate(self.layers) if name in layers and binding in _layer_bindings(layers[name])]
+            mask = 0 if binding in _layer_bindings(own) else sum(1 << k for k in worn)
             vertex_masks.append(np.full(len(self._definition.shapes[binding.shape].points), mask, np.uint64))
         taken: NDArray[np.uint64] = np.concatenate([np.zeros(0, np.uint64), *vertex_masks])[self.taken]
         return taken
@@ -150,7 +150,7 @@ class PosedBody:
         """The bindings of the layers that are drawn, static ones of a layer first."""
         return self._bindings
 
-    def with_clips(self, clips: Sequence[tuple[str, str] | Played]) -> PosedBody:
+    def with_clips(self, clips: Sequence[tuple[str, str] | PlayedClip]) -> PosedBody:
         """The same for agents that play other clips."""
         return PosedBody(self._whole, clips, self.layers)
 
@@ -161,15 +161,15 @@ class PosedBody:
         feet: FeetOfBodies | None = None,
         threads: int = 1,
         *,
-        driven: Driven = NOTHING,
+        driven: DrivenPose = NOTHING,
         local: bool = False,
     ) -> Poses:
         """Return transforms and channels of `count` agents, in the definition's space; `local` adds local ones. Agents play what
         their machines select, with the values in `driven`. With `feet`, legs bend to reach these, and trunks move with them."""
-        playing = machines_playing(self._table, self._played, machines, count, driven.lean)
+        playing = playing_of_machines(self._table, self._played, machines, count, driven.lean)
         poses = posed(self._table, self._definition.groups, playing, local=local, threads=threads)
         poses = with_channels(self._table, poses, driven.channels)
-        poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base()[:3, :3])
+        poses = with_looks(self._table, poses, driven.looks, self._definition.groups, self._definition.base_matrix()[:3, :3])
         poses = with_scales(self._table, poses, self._definition.variation, self._definition.groups, driven.draws)
         if self.legs is not None and feet is not None:
             stands = self.legs.stance_weights(self._played, machines, count)
@@ -183,13 +183,13 @@ class PosedBody:
         feet: FeetOfBodies | None = None,
         threads: int = 1,
         *,
-        driven: Driven = NOTHING,
+        driven: DrivenPose = NOTHING,
     ) -> tuple[Floats, Floats]:
         """Vertices and unit normals float32[n, v, 3] of the same agents, in body lengths."""
-        points, normals = self.shaped(self.poses(machines, count, feet, threads, driven=driven))
+        points, normals = self.shape_points(self.poses(machines, count, feet, threads, driven=driven))
         return points[:, self.taken], normals[:, self.taken]
 
-    def shaped(self, poses: Poses) -> tuple[Floats, Floats]:
+    def shape_points(self, poses: Poses) -> tuple[Floats, Floats]:
         """Points and unit normals float32[n, p, 3] of the shapes of all bindings, one after the other, in body lengths: front +x,
         up +y."""
         deformed_shapes = [bound(self._definition, binding, poses) for binding in self._bindings]
@@ -206,7 +206,7 @@ def own_layer(definition: Definition) -> Layer:
     return layers.get(BODY) or next(iter(worn), Layer(BODY))
 
 
-def _needed(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
+def _needed_shapes(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
     """Return shapes by name, and the shapes they blend with."""
     shapes: dict[str, Shape] = {}
     left = list(names)
@@ -218,15 +218,15 @@ def _needed(definition: Definition, names: Iterable[str]) -> dict[str, Shape]:
     return shapes
 
 
-def _bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, ...]:
+def _visible_bindings(definition: Definition, layers: Sequence[str]) -> tuple[Binding, ...]:
     """Return the bindings of a body with some layers in addition to its own: each binding once, in the order of the definition's
     layers."""
     own = own_layer(definition)
     worn = (own, *(layer for name, layer in definition.layers.items() if name in layers and layer is not own))
-    return tuple(dict.fromkeys(binding for layer in worn for binding in _all(layer)))
+    return tuple(dict.fromkeys(binding for layer in worn for binding in _layer_bindings(layer)))
 
 
-def _all(layer: Layer) -> tuple[Binding, ...]:
+def _layer_bindings(layer: Layer) -> tuple[Binding, ...]:
     return (*layer.static, *layer.deforming)
 
 
@@ -236,7 +236,7 @@ def _with_normals(shape: Shape) -> Shape:
     return replace(shape, normals=vertex_normals(shape.points.astype(np.float64), shape.faces))
 
 
-def _parted(
+def _split_by_material(
     shape: Shape, colours: Mapping[str, tuple[float, float, float]]
 ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32], NDArray[np.str_]]:
     """Return the vertices of a shape, split by material: point of each vertex, triangles of vertices, linear colours, tints and
@@ -252,12 +252,12 @@ def _parted(
     return point, faces.reshape(-1, 3).astype(np.int32), own, tint, np.array(names)[of]
 
 
-def coarse(definition: Definition) -> Definition:
+def coarse_definition(definition: Definition) -> Definition:
     """Return the definition with fewer points. Shapes still follow joints by its deformers, but are no longer blended."""
     cell = definition.length / CELLS
     shapes = {name: coarse_shape(shape, cell) for name, shape in definition.shapes.items()}
     layers = {
-        name: Layer(name, layer.static, tuple(_unblended(each) for each in layer.deforming))
+        name: Layer(name, layer.static, tuple(_without_blending(each) for each in layer.deforming))
         for name, layer in definition.layers.items()
     }
     return replace(definition, shapes=shapes, layers=layers)
@@ -299,6 +299,6 @@ def coarse_shape(shape: Shape, cell: float) -> Shape:
     )  # fmt: skip
 
 
-def _unblended(binding: Binding) -> Binding:
+def _without_blending(binding: Binding) -> Binding:
     steps = [step for step in binding.deformer.split("+") if step != "blendshape"]
     return replace(binding, deformer="+".join(steps))

@@ -24,15 +24,15 @@ def _apple() -> Painted:
     top = np.exp(-((flat / 0.32) ** 2)) * np.where(high > 0, 0.42, 0.22) * np.sign(high)
     shoulder = 1 + 0.05 * np.cos(5 * turn) * (1 - high) / 2
     body = np.stack([vertices[:, 0] * shoulder, high * 0.9 - top, vertices[:, 2] * shoulder], axis=1)
-    blush = np.clip(0.5 + 0.55 * waves(vertices, 41, 1.5, 2), 0, 1)[:, None]
-    streak = np.clip(0.5 + 0.5 * np.sin(17 * turn + 4 * waves(vertices, 42, 1.2, 1)), 0, 1)[:, None] * 0.25
+    blush = np.clip(0.5 + 0.55 * wave_noise(vertices, 41, 1.5, 2), 0, 1)[:, None]
+    streak = np.clip(0.5 + 0.5 * np.sin(17 * turn + 4 * wave_noise(vertices, 42, 1.2, 1)), 0, 1)[:, None] * 0.25
     red, gold = np.array([0.74, 0.11, 0.10]), np.array([0.90, 0.68, 0.22])
     near_top = np.exp(-(((flat - 0.05) / 0.34) ** 2))[:, None] * (high > 0)[:, None]
     colour = red + (gold - red) * np.clip(0.55 * (1 - blush) + streak * 0.5 + 0.8 * near_top, 0, 1)
     stem_points, stem_faces = sphere(1)
     bend = 0.10 * (stem_points[:, 1] + 1) ** 2
     stem = np.stack([stem_points[:, 0] * 0.045 + bend * 0.5, 0.72 + 0.22 * stem_points[:, 1], stem_points[:, 2] * 0.045], axis=1)
-    points, triangles = joined([(body, faces), (stem, stem_faces)])
+    points, triangles = join_meshes([(body, faces), (stem, stem_faces)])
     shade = np.concatenate([colour, np.full((len(stem), 3), (0.33, 0.22, 0.13))])
     points[:, 1] += 0.78
     return points, triangles, shade.astype(np.float32)
@@ -74,7 +74,7 @@ def _ring() -> Painted:
         reach = 0.62 + 0.40 * np.cos(side)
         parts.append((grain + np.array([reach * np.cos(turn), 0.385 * np.sin(side), reach * np.sin(turn)]), triangles))
         shades.append(np.tile(hues[k % len(hues)], (len(grain), 1)))
-    vertices, triangles = joined(parts)
+    vertices, triangles = join_meshes(parts)
     vertices[:, 1] += 0.30
     return vertices, triangles, np.concatenate(shades).astype(np.float32)
 
@@ -92,14 +92,14 @@ def _mound() -> Painted:
     high = np.where(r > crest, outside, np.maximum(inside, 0.012))  # the ground goes on below: a hole in it would not be seen
     points = np.stack([r * np.cos(t), high, r * np.sin(t)], axis=2).reshape(-1, 3)
     soft = np.clip(r.reshape(-1) / 0.25, 0, 1)
-    points[:, 1] += 0.012 * waves(points * np.array([1, 0, 1]), 61, 0.35, 2) * soft
+    points[:, 1] += 0.012 * wave_noise(points * np.array([1, 0, 1]), 61, 0.35, 2) * soft
     points[:, 1] -= np.clip(r.reshape(-1) - 0.9, 0, None) * 0.35
     row, column = np.meshgrid(np.arange(rings - 1), np.arange(around), indexing="ij")
     a, b = (row * around + column).reshape(-1), (row * around + (column + 1) % around).reshape(-1)
     faces = np.concatenate([np.stack([a, b, b + around], 1), np.stack([a, b + around, a + around], 1)]).astype(np.int32)
     depth = np.clip((r.reshape(-1) - 0.10) / 0.22, 0.0, 1.0)[:, None]
     soil, dark = np.array([0.60, 0.46, 0.33]), np.array([0.07, 0.05, 0.04])
-    tone = 1 + 0.10 * waves(points, 62, 0.22, 2)[:, None]
+    tone = 1 + 0.10 * wave_noise(points, 62, 0.22, 2)[:, None]
     return points, faces, np.clip((dark + (soil - dark) * depth) * tone, 0, 1).astype(np.float32)
 
 
@@ -112,8 +112,8 @@ def _crumb() -> Painted:
     # The shape is cut by planes with worn edges.
     cut = (vertices @ directions.T) / draw.uniform(0.66, 0.92, 13)
     size = np.minimum(1.0, 1 / np.maximum((np.maximum(cut, 0) ** 14).sum(axis=1) ** (1 / 14), 1e-9))
-    rough = waves(vertices, 72, 0.75, 3)
-    pore = np.clip(waves(vertices, 73, 0.34, 1) - 0.25, 0, 1) + 0.6 * np.clip(waves(vertices, 74, 0.17, 1) - 0.3, 0, 1)
+    rough = wave_noise(vertices, 72, 0.75, 3)
+    pore = np.clip(wave_noise(vertices, 73, 0.34, 1) - 0.25, 0, 1) + 0.6 * np.clip(wave_noise(vertices, 74, 0.17, 1) - 0.3, 0, 1)
     points = vertices * (size * (1 + 0.03 * rough - 0.075 * pore))[:, None]
     points *= 1.06 / np.hypot(points[:, 0], points[:, 2]).max()
     points[:, 1] -= points[:, 1].min() + 0.06
@@ -127,7 +127,7 @@ def _cube() -> Painted:
     """Return a lump of sugar: a grainy block with worn edges."""
     vertices, faces = sphere(5)
     norm = (np.abs(vertices) ** 9).sum(axis=1) ** (1 / 9)
-    grain = waves(vertices, 81, 0.09, 2)
+    grain = wave_noise(vertices, 81, 0.09, 2)
     points = vertices / norm[:, None] * (1 + 0.018 * grain)[:, None] * np.array([0.78, 0.66, 0.72])
     points[:, 1] -= points[:, 1].min()
     tone = 0.93 + 0.06 * grain
@@ -179,7 +179,7 @@ def placed(shape: str) -> Painted:
     return arrays
 
 
-def shape_of(kind: str, name: str) -> str:
+def item_shape(kind: str, name: str) -> str:
     """Return the shape that suits items of a `kind` (`food`, `nest`) with this `name` (`apple`)."""
     return next((shape for text in (name, kind) for word, shape in _WORDS if word in text.lower()), "sphere")
 
@@ -201,7 +201,7 @@ def sphere(detail: int = 2) -> Mesh:
     return vertices.copy(), faces.copy()
 
 
-def waves(
+def wave_noise(
     points: NDArray[np.float64], seed: int, wavelength: float, octaves: int, *, fade: float = 0.5, count: int = 7
 ) -> NDArray[np.float64]:
     """Return smooth noise of about unit size at `points` (n, d): a sum of sines in random directions. Each octave has half the
@@ -227,7 +227,7 @@ def stone(seed: int, radii: tuple[float, float, float], *, detail: int = 2, roug
     depth = draw.uniform(0.72, 0.95, size=9)
     reach = vertices @ cuts.T
     allowed = np.where(reach > 1e-6, depth / np.maximum(reach, 1e-6), 2.0).min(axis=1)
-    radius = np.minimum(1.0, allowed) * (1.0 + roughness * 0.5 * waves(vertices, seed + 1, 1.6, 3))
+    radius = np.minimum(1.0, allowed) * (1.0 + roughness * 0.5 * wave_noise(vertices, seed + 1, 1.6, 3))
     return vertices * radius[:, None] * np.asarray(radii, np.float64), faces
 
 
@@ -245,7 +245,7 @@ def sheet(x: NDArray[np.float64], z: NDArray[np.float64]) -> Mesh:
     return vertices, np.concatenate([first, second], axis=1).reshape(-1, 3).astype(np.int32)
 
 
-def joined(parts: list[Mesh]) -> Mesh:
+def join_meshes(parts: list[Mesh]) -> Mesh:
     """One mesh of several."""
     starts = np.cumsum([0] + [len(vertices) for vertices, _ in parts])
     vertices = np.concatenate([vertices for vertices, _ in parts])

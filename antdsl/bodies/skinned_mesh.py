@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.affine import Floats
-from antdsl.bodies.agents.blend_shapes import blend_shapes, difference, knots_of, matched, shares_of
+from antdsl.bodies.agents.blend_shapes import attribute_difference, blend_shapes, knots_of, match_points, shares_of
 from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, Rig, Shape
-from antdsl.bodies.agents.deformers import SKINNING, steps
+from antdsl.bodies.agents.deformers import SKINNING, deformer_steps
 from antdsl.bodies.agents.transforms import world_matrices
 
 MOST_JOINTS = 4  # that a vertex follows
@@ -44,7 +44,7 @@ def skinned_mesh(definition: Definition, bindings: Sequence[Binding], taken: NDA
     remain. Deformers other than linear skinning are not applied: dual quaternions become linear, and blend shapes stay at their
     base. `blend_targets` has the differences from that base."""
     bone_table = _Bones(definition)
-    parts = [(_captured if _skins(each) else _static)(definition, each, bone_table) for each in bindings]
+    parts = [(_skinned_part if _is_skinned(each) else _static_part)(definition, each, bone_table) for each in bindings]
     none = np.zeros((0, 3), np.float32)
     fours = np.zeros((0, MOST_JOINTS), np.float32)
     return SkinnedMesh(
@@ -82,11 +82,11 @@ class _Bones:
         return len(self.joints) - 1
 
 
-def _skins(binding: Binding) -> bool:
-    return bool(binding.deformer) and any(step in SKINNING for step in steps(binding.deformer))
+def _is_skinned(binding: Binding) -> bool:
+    return bool(binding.deformer) and any(step in SKINNING for step in deformer_steps(binding.deformer))
 
 
-def _static(definition: Definition, binding: Binding, bone_table: _Bones) -> _Part:
+def _static_part(definition: Definition, binding: Binding, bone_table: _Bones) -> _Part:
     """Return a static shape of a joint, moved to its place in the rest pose. It then shares the bone of shapes skinned to that
     joint."""
     shape = definition.shapes[binding.shape]
@@ -107,7 +107,7 @@ def _static(definition: Definition, binding: Binding, bone_table: _Bones) -> _Pa
     return _Part(points, normals, bones, weights)
 
 
-def _captured(definition: Definition, binding: Binding, bone_table: _Bones) -> _Part:
+def _skinned_part(definition: Definition, binding: Binding, bone_table: _Bones) -> _Part:
     """Return a shape in which each point follows its own joints."""
     shape = definition.shapes[binding.shape]
     capture = shape.capture
@@ -116,11 +116,11 @@ def _captured(definition: Definition, binding: Binding, bone_table: _Bones) -> _
     number = np.array(
         [bone_table.number(definition.rig.joint(name), capture.inverse[k]) for k, name in enumerate(capture.names)], np.int32
     )
-    joints, weights = _four(capture)
+    joints, weights = _strongest_joints(capture)
     return _Part(shape.points, _normals(shape), number[joints], weights)
 
 
-def _four(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _strongest_joints(capture: Capture) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the joints with the largest weights of each point, and their weights."""
     joints, weights = capture.joints, capture.weights
     if joints.shape[1] < MOST_JOINTS:
@@ -139,7 +139,7 @@ def _normals(shape: Shape) -> NDArray[np.float32]:
 
 
 @dataclass(frozen=True, slots=True)
-class Target:
+class BlendTarget:
     """One shape of an input: the channel that weights the input, the weights at which the input has shapes, and the index of this
     shape."""
 
@@ -150,15 +150,15 @@ class Target:
 
 def blend_targets(
     definition: Definition, bindings: Sequence[Binding], taken: NDArray[np.integer]
-) -> dict[Target, NDArray[np.float32]]:
+) -> dict[BlendTarget, NDArray[np.float32]]:
     """Return what each target adds at weight 1 to the rest pose of a skinned mesh, float32[v, 6]: to points and to normals. Only
     shapes with blending as their first deformer count. `taken` int[v]: the vertices to include, numbered through all bindings."""
     sizes = [len(definition.shapes[each.shape].points) for each in bindings]
     starts = np.cumsum([0, *sizes])
-    offsets_by_target: dict[Target, NDArray[np.float32]] = {}
+    offsets_by_target: dict[BlendTarget, NDArray[np.float32]] = {}
     rest = world_matrices(definition.rig.parents, definition.rig.rest)
     for start, binding in zip(starts, bindings, strict=False):
-        shape, chain = definition.shapes[binding.shape], steps(binding.deformer) if binding.deformer else ()
+        shape, chain = definition.shapes[binding.shape], deformer_steps(binding.deformer) if binding.deformer else ()
         if shape.blend is None or chain[:1] != (blend_shapes,):
             continue
         carried = binding.transform and not any(step in SKINNING for step in chain)
@@ -171,23 +171,25 @@ def blend_targets(
 
 def _offsets(
     definition: Definition, shape: Shape, turn: NDArray[np.float64]
-) -> list[tuple[Target, NDArray[np.intp], NDArray[np.float64]]]:
+) -> list[tuple[BlendTarget, NDArray[np.intp], NDArray[np.float64]]]:
     blend = shape.blend
     assert blend is not None
     target_offsets = []
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
         targets, knots = knots_of(definition, name)
         for place, target in enumerate(targets):
-            base_points, target_points = matched(shape, target, blend.point_id)
+            base_points, target_points = match_points(shape, target, blend.point_id)
             offsets = np.zeros((len(base_points), 6))
             for first, attribute, values in ((0, "P", target.points), (3, "N", target.normals)):
                 if attribute in blend.attributes and values is not None:
-                    offsets[:, first : first + 3] = difference(shape, target, attribute, base_points, target_points).T @ turn.T
-            target_offsets.append((Target(channel, tuple(knots), place), base_points, offsets))
+                    offsets[:, first : first + 3] = (
+                        attribute_difference(shape, target, attribute, base_points, target_points).T @ turn.T
+                    )
+            target_offsets.append((BlendTarget(channel, tuple(knots), place), base_points, offsets))
     return target_offsets
 
 
-def weights_of(targets: Sequence[Target], rig: Rig, channels: Floats) -> Floats:
+def weights_of(targets: Sequence[BlendTarget], rig: Rig, channels: Floats) -> Floats:
     """Return the weights float32[n, K] of K targets for n agents with channel values `channels` float32[n, C]."""
     weights = np.zeros((len(channels), len(targets)), np.float32)
     for k, target in enumerate(targets):
@@ -195,7 +197,7 @@ def weights_of(targets: Sequence[Target], rig: Rig, channels: Floats) -> Floats:
     return weights
 
 
-def of_channels(definition: Definition) -> Definition:
+def channels_only(definition: Definition) -> Definition:
     """Return the definition reduced to its channels: one static joint, and clips with only channel values. Its poses have the
     same channels as the definition's."""
 

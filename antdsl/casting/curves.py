@@ -41,7 +41,7 @@ class Curve:
             raise ValueError("a curve needs at least one point, and all of its points finite")
         if not spacing > 0:
             raise ValueError("the spacing of a curve must be more than 0")
-        self.samples = resampled(points[::-1] if reverse else points, spacing)
+        self.samples = resample(points[::-1] if reverse else points, spacing)
         self._step = np.diff(self.samples, axis=0)
         self._size = np.sqrt((self._step * self._step).sum(axis=1))
         self.length = float(self._size.sum())
@@ -64,35 +64,35 @@ class Curve:
         if len(self.samples) == 1:
             point, tangent = np.broadcast_to(self.samples[0], place.shape), np.zeros_like(place)
         else:
-            point, tangent = self._on_segments(place)
+            point, tangent = self._nearest_on_segments(place)
         away = point - place
         distance = np.where(finite, np.sqrt((away[:, 0] ** 2 + away[:, 1] ** 2) + away[:, 2] ** 2), np.inf)
         columns = (distance, *point.T, *tangent.T)
         return CurvePoints(*(np.ascontiguousarray(c, np.float32) for c in columns))
 
-    def _on_segments(self, place: Vectors) -> tuple[Vectors, Vectors]:
+    def _nearest_on_segments(self, place: Vectors) -> tuple[Vectors, Vectors]:
         """Return the nearest point and tangent, from the segments with samples near enough to contain it."""
         few = min(_NEAR, len(self.samples))
         gap, sample = self._tree.query(place, k=list(range(1, few + 1)))
-        best = self._best(place, sample)
+        best = self._nearest_segment(place, sample)
         # A segment nearer than the nearest sample has an end within half a piece more.
         reach = np.sqrt(gap[:, 0] ** 2 + (self._size.max() / 2) ** 2) * (1 + 1e-9) + 1e-12
         for row in np.flatnonzero((gap[:, -1] <= reach) & (few < len(self.samples))):
             near = self._tree.query_ball_point(place[row], reach[row])
-            best[row] = self._best(place[row : row + 1], np.asarray(near, np.int64)[None])[0]
-        part = self._part(place, best)[0][:, None]
+            best[row] = self._nearest_segment(place[row : row + 1], np.asarray(near, np.int64)[None])[0]
+        part = self._project_on_segment(place, best)[0][:, None]
         # Between joints the tangent turns evenly, so that agents that follow the curve do not jerk at a joint.
         tangent = self._tangent[best] * (1 - part) + self._tangent[best + 1] * part
         return self.samples[best] + part * self._step[best], unit(tangent)
 
-    def _best(self, place: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _nearest_segment(self, place: Vectors, sample: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the nearest segment of those next to samples int[n,k], the first of equals."""
         segment = np.sort(np.clip(np.concatenate([sample - 1, sample], axis=1), 0, len(self._step) - 1), axis=1)
-        gaps = np.stack([self._part(place, column)[1] for column in segment.T], axis=1)
+        gaps = np.stack([self._project_on_segment(place, column)[1] for column in segment.T], axis=1)
         best: NDArray[np.int64] = segment[np.arange(len(place)), gaps.argmin(axis=1)]
         return best
 
-    def _part(self, place: Vectors, segment: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _project_on_segment(self, place: Vectors, segment: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the position of the nearest point along its segment (0 to 1), and the squared distance."""
         away, step = place - self.samples[segment], self._step[segment]
         square = self._size[segment] ** 2
@@ -102,7 +102,7 @@ class Curve:
         return part, (away[:, 0] ** 2 + away[:, 1] ** 2) + away[:, 2] ** 2
 
 
-def resampled(points: Vectors, spacing: float) -> Vectors:
+def resample(points: Vectors, spacing: float) -> Vectors:
     """Return points [k,3] at equal spacing along a polyline [n,3], both ends included. The spacing is at most `spacing`, unless
     the point count reaches its limit."""
     step = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.grid_filters import distances
+from antdsl.casting.grid_filters import distances_to_blocked
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, independent, inlined, kernel, nearest_integer
 from antdsl.numerics import parallel, stored_tables
@@ -36,17 +36,17 @@ class DistanceGrid:
         self._size = np.floor(extent / self._width).astype(np.int64) + 1
         self._high = self._low + extent
         self._cells = (self._low, self._high, self._size, self._width)
-        work = partial(self._bounds, corners)
+        work = partial(self._measure_bounds, corners)
         size = int(np.prod(self._size)) if lasting else 0
-        self._least = stored_tables.stored("distance grid", size, (corners, float(cells)), work, "cells")["least"]
+        self._least = stored_tables.get_or_compute("distance grid", size, (corners, float(cells)), work, "cells")["least"]
 
-    def _bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
+    def _measure_bounds(self, corners: NDArray[np.float64]) -> stored_tables.Tables:
         """Return a lower bound of the distance from each cell to all triangles."""
         free = np.ones(tuple(self._size), bool)
         for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
             cell = np.minimum(cell, self._size - 1)
             free[cell[:, 0], cell[:, 1], cell[:, 2]] = False
-        away = distances(free) if len(corners) else np.full(tuple(self._size), np.inf)
+        away = distances_to_blocked(free) if len(corners) else np.full(tuple(self._size), np.inf)
         # The query point and the triangle may be anywhere in their cells: two half diagonals.
         least = np.maximum((away - np.sqrt(3.0)) * self._width * (1 - 1e-6), 0.0).astype(np.float32).ravel()
         return {"least": least}
@@ -65,26 +65,32 @@ class DistanceGrid:
         least = measured_distances - np.sqrt(0.75) * self._width * (1 + 1e-6) - error
         self._least[near] = np.maximum(self._least[near], least.astype(np.float32))
 
-    def at_least(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
+    def lower_bounds(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (mm, float32[n]) within which there is no triangle; 0 near the triangles."""
         least_distances, columns = np.empty(len(x), np.float32), (x, y, z)
         single = all(each.dtype == np.float32 for each in columns)
         if not single:
             columns = (x.astype(np.float64), y.astype(np.float64), z.astype(np.float64))
-        work = partial(at_least if single else at_least_of, parallel.plain(*columns), self._cells, self._least, least_distances)
+        work = partial(
+            write_lower_bounds if single else write_lower_bounds64,
+            parallel.contiguous(*columns),
+            self._cells,
+            self._least,
+            least_distances,
+        )
         parallel.in_parts(work, len(x), threads, parallel.LIGHT)
         return least_distances
 
 
 @inlined
-def _bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
+def _lower_bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
     low, high, size, width = cells
     part = 1.0 / width
-    ix, iy, iz = _inside(px, low[0], high[0]), _inside(py, low[1], high[1]), _inside(pz, low[2], high[2])
+    ix, iy, iz = _clamp(px, low[0], high[0]), _clamp(py, low[1], high[1]), _clamp(pz, low[2], high[2])
     gx, gy, gz = px - ix, py - iy, pz - iz
     outside = (gx * gx + gy * gy) + gz * gz
-    cell = min(_number((ix - low[0]) * part), size[0] - 1) * size[1] + min(_number((iy - low[1]) * part), size[1] - 1)
-    cell = cell * size[2] + min(_number((iz - low[2]) * part), size[2] - 1)
+    cell = min(_cell_number((ix - low[0]) * part), size[0] - 1) * size[1] + min(_cell_number((iy - low[1]) * part), size[1] - 1)
+    cell = cell * size[2] + min(_cell_number((iz - low[2]) * part), size[2] - 1)
     away = least[cell]
     # The nearest place of the box is a projection, so the two distances are legs of a right angle at least.
     further = np.float32(np.sqrt(np.float64(away * away) + outside) * (1 - 1e-5))
@@ -92,31 +98,33 @@ def _bound(cells: Cells, least: Array1[F32], px: F64, py: F64, pz: F64) -> F32:
 
 
 @kernel
-def at_least(positions: Columns, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64) -> None:
+def write_lower_bounds(
+    positions: Columns, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
+) -> None:
     """Write the distances of the positions in rows `begin` to `end` (exclusive)."""
     x, y, z = positions
     for n in independent(begin, end):
-        least_distances[n] = _bound(cells, least, np.float64(x[n]), np.float64(y[n]), np.float64(z[n]))
+        least_distances[n] = _lower_bound(cells, least, np.float64(x[n]), np.float64(y[n]), np.float64(z[n]))
 
 
 @kernel
-def at_least_of(
+def write_lower_bounds64(
     positions: Columns64, cells: Cells, least: Array1[F32], least_distances: Array1[F32], begin: I64, end: I64
 ) -> None:
     """The same of places in float64."""
     x, y, z = positions
     for n in independent(begin, end):
-        least_distances[n] = _bound(cells, least, x[n], y[n], z[n])
+        least_distances[n] = _lower_bound(cells, least, x[n], y[n], z[n])
 
 
 @inlined
-def _number(place: F64) -> I64:
+def _cell_number(place: F64) -> I64:
     """Return the cell number of a coordinate in cells that is not negative."""
     return nearest_integer(np.floor(place))
 
 
 @inlined
-def _inside(place: F64, low: F64, high: F64) -> F64:
+def _clamp(place: F64, low: F64, high: F64) -> F64:
     """Return a coordinate clamped as by fmin and fmax: NaN becomes the lowest."""
     inside = place if place > low else low
     return inside if inside < high else high

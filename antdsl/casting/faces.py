@@ -39,7 +39,7 @@ class Faces:
         self._planes: tuple[Floats, Floats] | None = None
         self._meeting: tuple[Index, Index, Index] | None = None
 
-    def widened(self) -> NDArray[np.float32]:
+    def widened_corners(self) -> NDArray[np.float32]:
         """Return corners float32[3m,3] of slightly enlarged triangles (each side moved out by a few `hair`), so that float32 rays
         miss no face."""
         a, b, c = (self.corners[:, k] for k in range(3))
@@ -50,7 +50,7 @@ class Faces:
             moved.append(corner + (one + two) * (WIDE * self.hair / np.maximum(1.0 + dot(one, two), _SHARP))[:, None])
         return np.stack(moved, axis=1).reshape(-1, 3).astype(np.float32)
 
-    def normal(self, face: Index) -> Floats:
+    def normals(self, face: Index) -> Floats:
         """Return unit normals [k,3] of faces, by their winding; 0 for faces without area."""
         if self._brief:
             corners = self.corners.take(face, axis=0)
@@ -59,31 +59,31 @@ class Faces:
             self._normals = unit(np.cross(self.corners[:, 1] - self.corners[:, 0], self.corners[:, 2] - self.corners[:, 0]))
         return self._normals.take(face, axis=0)
 
-    def _known(self, face: Index) -> tuple[Floats, Floats]:
+    def _planes_and_rims(self, face: Index) -> tuple[Floats, Floats]:
         """`planes` and rims of faces."""
         if self._brief:
-            return self._worked_out(self.corners.take(face, axis=0))
+            return self._compute_planes(self.corners.take(face, axis=0))
         if self._planes is None:
-            rows, rims = self._worked_out(self.corners)
-            rims[self._doubled()] = np.inf  # what lies in another one is nowhere the only one there
+            rows, rims = self._compute_planes(self.corners)
+            rims[self._find_duplicates()] = np.inf  # what lies in another one is nowhere the only one there
             self._planes = rows, rims
         rows, rims = self._planes
         return rows.take(face, axis=0), rims.take(face)
 
-    def _worked_out(self, corners: Floats) -> tuple[Floats, Floats]:
+    def _compute_planes(self, corners: Floats) -> tuple[Floats, Floats]:
         rows = planes(corners)
         one, two = rows[:, 1, :3], rows[:, 2, :3]
         both = one + two
         steepest = np.maximum(np.maximum(dot(one, one), dot(two, two)), dot(both, both))
         return rows, _RIM * self.hair * np.sqrt(steepest)
 
-    def crossing(
+    def cross_planes(
         self, face: Index, origin: Floats, displacement: Floats
     ) -> tuple[Floats, Floats, NDArray[np.bool_], NDArray[np.bool_]]:
         """Intersect rays from `origin` [k,3] along `displacement` [k,3] with the planes of faces. Returns the ray parameter, in
         lengths of `displacement`; the weights [k,3] of the corners there; whether the point is in the face; whether it is within
         float32 error of the border."""
-        rows, rim = self._known(face)
+        rows, rim = self._planes_and_rims(face)
         at = ((rows[:, :, 0] * origin[:, 0:1] + rows[:, :, 1] * origin[:, 1:2]) + rows[:, :, 2] * origin[:, 2:]) + rows[:, :, 3]
         to = (rows[:, :, 0] * displacement[:, 0:1] + rows[:, :, 1] * displacement[:, 1:2]) + rows[:, :, 2] * displacement[:, 2:]
         with np.errstate(all="ignore"):
@@ -93,7 +93,7 @@ class Faces:
             least = np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2])
             return t, weights, (least >= -CLOSED) & (np.abs(t) < np.inf), ~(np.abs(least) > rim)
 
-    def judged(
+    def check_hits(
         self, named: Index, origin: Floats, displacement: Floats, at: NDArray[np.floating]
     ) -> tuple[Floats, Floats, NDArray[np.bool_], Floats]:
         """Check hits that Open3D reports, on the named faces at about `at` of their length. Returns the exact part of the length,
@@ -109,13 +109,13 @@ class Faces:
             (displacement[:, 0] * displacement[:, 0] + displacement[:, 1] * displacement[:, 1])
             + displacement[:, 2] * displacement[:, 2]
         )
-        fractions, weights, hit, beside = self.crossing(named, origin, displacement)
+        fractions, weights, hit, beside = self.cross_planes(named, origin, displacement)
         hit &= fractions > hair
         unsure = np.flatnonzero(beside)
         if unsure.size:
-            which, other = self.meeting(named[unsure], weights[unsure])
+            which, other = self.faces_at_corner(named[unsure], weights[unsure])
             row = unsure[which]
-            t, other_weights, inside, _ = self.crossing(other, origin[row], displacement[row])
+            t, other_weights, inside, _ = self.cross_planes(other, origin[row], displacement[row])
             near = (t <= at[row] + AHEAD * hair[row]) | (other == named[row])
             good = np.flatnonzero(inside & near & (t > hair[row]))
             order = good[np.lexsort((other[good], t[good], row[good]))]
@@ -130,7 +130,7 @@ class Faces:
         set of faces."""
         if self._brief:
             return None
-        self._known(np.empty(0, np.int64))
+        self._planes_and_rims(np.empty(0, np.int64))
         assert self._planes is not None and self._meeting is not None
         return *self._planes, *self._meeting
 
@@ -145,12 +145,12 @@ class Faces:
         place = nearest_on_triangle(points, self.corners.take(face, axis=0))
         gap = place - points
         square = dot(gap, gap)
-        rows, rim = self._known(face)
+        rows, rim = self._planes_and_rims(face)
         weights = ((rows[:, :, 0] * place[:, 0:1] + rows[:, :, 1] * place[:, 1:2]) + rows[:, :, 2] * place[:, 2:]) + rows[:, :, 3]
         weights[:, 0] = (1.0 - weights[:, 1]) - weights[:, 2]
         beside = np.flatnonzero(~(np.minimum(np.minimum(weights[:, 0], weights[:, 1]), weights[:, 2]) > rim))
         if beside.size:
-            which, other = self.meeting(face[beside], weights[beside])
+            which, other = self.faces_at_corner(face[beside], weights[beside])
             other_places = nearest_on_triangle(points[beside[which]], self.corners.take(other, axis=0))
             gap = other_places - points[beside[which]]
             other_squares = dot(gap, gap)
@@ -160,7 +160,7 @@ class Faces:
             face[beside], place[beside], square[beside] = other[first], other_places[first], other_squares[first]
         return place, square, face
 
-    def meeting(self, face: Index, weights: Floats) -> tuple[Index, Index]:
+    def faces_at_corner(self, face: Index, weights: Floats) -> tuple[Index, Index]:
         """Return for each face all faces that share its corner of largest weight, itself included. The result contains the
         indices of the queried faces, and the face numbers, ascending."""
         if self._meeting is None:
@@ -172,7 +172,7 @@ class Faces:
         step = np.arange(which.size) - np.repeat(np.cumsum(count) - count, count)
         return which, faces.take(np.repeat(first.take(corner), count) + step)
 
-    def _doubled(self) -> NDArray[np.bool_]:
+    def _find_duplicates(self) -> NDArray[np.bool_]:
         """Which faces have the corners of another one."""
         if self._meeting is None:
             self._meeting = self._weld_corners()
@@ -265,15 +265,15 @@ def hits(
         a, b, c = origin[i, 0], origin[i, 1], origin[i, 2]
         h = hair / np.sqrt((x * x + y * y) + z * z)
         face = named[i]
-        t, (w0, w1, w2), least = _crossing(planes, face, a, b, c, x, y, z)
+        t, (w0, w1, w2), least = _cross_plane(planes, face, a, b, c, x, y, z)
         short[i], fractions[i], hit[i] = h, t, least >= -CLOSED and abs(t) < np.inf and t > h
         weights[i, 0], weights[i, 1], weights[i, 2] = w0, w1, w2
         if not abs(least) > rims[face]:
             hit[i] = False
-            place = weld[3 * face + _heaviest(w0, w1, w2)]
+            place = weld[3 * face + _greatest_index(w0, w1, w2)]
             most = at[i] + ahead * h
             for k in range(first[place], first[place + 1]):
-                t, (w0, w1, w2), least = _crossing(planes, faces[k], a, b, c, x, y, z)
+                t, (w0, w1, w2), least = _cross_plane(planes, faces[k], a, b, c, x, y, z)
                 good = least >= -CLOSED and abs(t) < np.inf and t > h and (t <= most or faces[k] == face)
                 if good and (not hit[i] or t < fractions[i]):
                     named[i], fractions[i], hit[i] = faces[k], t, True
@@ -290,35 +290,35 @@ def nearest(
         p = (points[i, 0], points[i, 1], points[i, 2])
         f = face[i]
         q = nearest_on(corners, f, p)
-        d = square_of(minus(q, p))
+        d = squared_length(minus(q, p))
         place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
-        w1, w2 = along(planes, f, 1, q[0], q[1], q[2]), along(planes, f, 2, q[0], q[1], q[2])
+        w1, w2 = evaluate_point(planes, f, 1, q[0], q[1], q[2]), evaluate_point(planes, f, 2, q[0], q[1], q[2])
         w0 = (1.0 - w1) - w2
-        if not _least(w0, w1, w2) > rims[f]:
-            at = weld[3 * f + _heaviest(w0, w1, w2)]
+        if not _minimum(w0, w1, w2) > rims[f]:
+            at = weld[3 * f + _greatest_index(w0, w1, w2)]
             begin = True
             for k in range(first[at], first[at + 1]):
                 q = nearest_on(corners, faces[k], p)
-                d = square_of(minus(q, p))
+                d = squared_length(minus(q, p))
                 if begin or d < square[i]:
                     face[i], begin = faces[k], False
                     place[i, 0], place[i, 1], place[i, 2], square[i] = q[0], q[1], q[2], d
 
 
 @inlined
-def along(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
+def evaluate_point(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
     """One row of a face's planes, for a place."""
     return ((planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z) + planes[face, row, 3]
 
 
 @inlined
-def towards(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
+def evaluate_direction(planes: Array3[F64], face: I64, row: I64, x: F64, y: F64, z: F64) -> F64:
     """The same for a way."""
     return (planes[face, row, 0] * x + planes[face, row, 1] * y) + planes[face, row, 2] * z
 
 
 @inlined
-def _least(a: F64, b: F64, c: F64) -> F64:
+def _minimum(a: F64, b: F64, c: F64) -> F64:
     """NaN if any is, as `np.minimum` has it."""
     if a != a or b != b or c != c:
         return np.nan
@@ -326,7 +326,7 @@ def _least(a: F64, b: F64, c: F64) -> F64:
 
 
 @inlined
-def _heaviest(a: F64, b: F64, c: F64) -> I64:
+def _greatest_index(a: F64, b: F64, c: F64) -> I64:
     """Return the index as `np.argmax` does: NaN is the greatest, and the first of equals counts."""
     if a != a or (not (b > a or b != b) and not (c > a or c != c)):
         return 0
@@ -336,22 +336,22 @@ def _heaviest(a: F64, b: F64, c: F64) -> I64:
 
 
 @inlined
-def _crossing(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64, y: F64, z: F64) -> tuple[F64, Vec3, F64]:
-    t = -along(planes, face, 0, a, b, c) / towards(planes, face, 0, x, y, z)
-    w1 = along(planes, face, 1, a, b, c) + t * towards(planes, face, 1, x, y, z)
-    w2 = along(planes, face, 2, a, b, c) + t * towards(planes, face, 2, x, y, z)
+def _cross_plane(planes: Array3[F64], face: I64, a: F64, b: F64, c: F64, x: F64, y: F64, z: F64) -> tuple[F64, Vec3, F64]:
+    t = -evaluate_point(planes, face, 0, a, b, c) / evaluate_direction(planes, face, 0, x, y, z)
+    w1 = evaluate_point(planes, face, 1, a, b, c) + t * evaluate_direction(planes, face, 1, x, y, z)
+    w2 = evaluate_point(planes, face, 2, a, b, c) + t * evaluate_direction(planes, face, 2, x, y, z)
     w0 = (1.0 - w1) - w2
-    return t, (w0, w1, w2), _least(w0, w1, w2)
+    return t, (w0, w1, w2), _minimum(w0, w1, w2)
 
 
 @inlined
-def square_of(a: Vec3) -> F64:
+def squared_length(a: Vec3) -> F64:
     """The square of a vector's length."""
     return dot_of(a, a)
 
 
 @inlined
-def _on(a: Vec3, v: Vec3, s: F64) -> Vec3:
+def _point_along(a: Vec3, v: Vec3, s: F64) -> Vec3:
     return a[0] + s * v[0], a[1] + s * v[1], a[2] + s * v[2]
 
 
@@ -367,15 +367,15 @@ def nearest_on(corners: Array3[F64], face: I64, p: Vec3) -> Vec3:
     if size > 0:
         s, t = (vv * wu - uv * wv) / size, (uu * wv - uv * wu) / size
         if s >= 0 and t >= 0 and s + t <= 1:
-            return _on(_on(a, u, s), v, t)
+            return _point_along(_point_along(a, u, s), v, t)
     best, gap = a, np.inf
     for k in range(3):
         start = a if k == 0 else (b if k == 1 else c)
         side = minus(b if k == 0 else (c if k == 1 else a), start)
         length = dot_of(side, side)
         s = min(max(dot_of(minus(p, start), side) / (length if length > 0 else 1.0), 0.0), 1.0)
-        place = _on(start, side, s)
-        square = square_of(minus(place, p))
+        place = _point_along(start, side, s)
+        square = squared_length(minus(place, p))
         if square < gap:
             best, gap = place, square
     return best

@@ -16,15 +16,15 @@ _FARTHEST = 1 << 29  # cells squared: more than any grid is long, and the sum of
 
 def greatest_around(grid: NDArray[T], rings: int) -> NDArray[T]:
     """Return the maximum over the cells within `rings` cells of each, along all axes."""
-    return _around(grid, rings, np.maximum)
+    return _filter_around(grid, rings, np.maximum)
 
 
 def least_around(grid: NDArray[T], rings: int) -> NDArray[T]:
     """Return the minimum over the cells within `rings` cells of each, along all axes."""
-    return _around(grid, rings, np.minimum)
+    return _filter_around(grid, rings, np.minimum)
 
 
-def _around(grid: NDArray[T], rings: int, better: Any) -> NDArray[T]:
+def _filter_around(grid: NDArray[T], rings: int, better: Any) -> NDArray[T]:
     for axis in range(grid.ndim):
         for flip in (False, True):  # those after each, then those before as well
             line = np.moveaxis(grid, axis, 0)
@@ -39,7 +39,7 @@ def _around(grid: NDArray[T], rings: int, better: Any) -> NDArray[T]:
     return np.ascontiguousarray(grid)
 
 
-def distances(free: NDArray[np.bool_]) -> NDArray[np.float64]:
+def distances_to_blocked(free: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Return the distance, in cells between centres, to the nearest cell that is not `free`; at least one cell must not be free.
 
     Works along one axis after the other: the minimum over each cell's line of the squared value there plus the squared distance

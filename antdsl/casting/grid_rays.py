@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.casting.faces import along, towards
+from antdsl.casting.faces import evaluate_direction, evaluate_point
 from antdsl.casting.tolerances import CLOSED, FAR_OFF, FURTHER, LONGEST, NOTHING, SHORTEST
 from antdsl.machine_code.kernels import (
     BOOL,
@@ -37,14 +37,14 @@ _STILL = 1e-12  # cubes: a ray that goes no farther along an axis stays in its l
 
 
 @kernel
-def firsts(
+def first_hits(
     grid: Grid, origin: Strided2[F64], displacement: Strided2[F64], t: Array1[F64], face: Array1[I64], begin: I64, end: I64
 ) -> None:
     """As `TriangleGrid.first`, into `t` and `face`, for rays `begin` to `end` (exclusive)."""
     cells = scratch(2 * AHEAD, I64)
     for low in range(begin, end, AHEAD):
         high = min(low + AHEAD, end)
-        _fetch(grid, origin, (0.0, 0.0, 0.0), displacement, cells, low, high)
+        _prefetch_faces(grid, origin, (0.0, 0.0, 0.0), displacement, cells, low, high)
         for i in range(low, high):
             t[i], face[i] = first_hit(
                 grid, (origin[i, 0], origin[i, 1], origin[i, 2]), (displacement[i, 0], displacement[i, 1], displacement[i, 2])
@@ -52,7 +52,7 @@ def firsts(
 
 
 @kernel
-def faced(
+def trace_normals(
     grid: Grid,
     origin: Strided2[F64],
     displacement: Strided2[F64],
@@ -71,7 +71,7 @@ def faced(
     cells, faces, many = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), normals.shape[1]
     for low in range(begin, end, AHEAD):
         high = min(low + AHEAD, end)
-        _fetch(grid, origin, zero, displacement, cells, low, high)
+        _prefetch_faces(grid, origin, zero, displacement, cells, low, high)
         hit = 0
         for i in range(low, high):
             a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
@@ -94,24 +94,24 @@ def faced(
 
 
 @inlined
-def _fetch(
+def _prefetch_faces(
     grid: Grid, origin: Strided2[F64], zero: Vec3, displacement: Strided2[F64], cells: Array1[I64], low: I64, high: I64
 ) -> None:
     """Prefetch the faces near both ends of rays `low` to `high` (exclusive); origins are relative to `zero`."""
     for i in range(low, high):
         a = minus((origin[i, 0], origin[i, 1], origin[i, 2]), zero)
-        _look_along(grid, a, (displacement[i, 0], displacement[i, 1], displacement[i, 2]), cells, i - low)
-    _fetch_lists(grid, cells, high - low)
+        _list_end_cubes(grid, a, (displacement[i, 0], displacement[i, 1], displacement[i, 2]), cells, i - low)
+    _prefetch_lists(grid, cells, high - low)
 
 
 @kernel
-def feelers(grid: Grid, rays: Seven, results: Array2[F32]) -> I64:
+def cast_feelers(grid: Grid, rays: Seven, results: Array2[F32]) -> I64:
     """As `TriangleGrid.feelers`, into the last array: distance and normal. The distance is NaN for feelers that the grid cannot
     resolve; returns their number."""
     x, y, z, dx, dy, dz, reach = rays
     count = 0
     for i in range(reach.size):
-        n, face = feel(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
+        n, face = cast_feeler(grid, (x[i], y[i], z[i]), (dx[i], dy[i], dz[i]), reach[i])
         if face == FURTHER:
             count += 1
         results[0, i] = np.float32(n[3])
@@ -138,7 +138,7 @@ def feel_askers(
         size = np.sqrt((wx[i] * wx[i] + wy[i] * wy[i]) + wz[i] * wz[i])
         if not (size > TINY and size < np.inf):
             continue
-        n, face = feel(grid, (x[i], y[i], z[i]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
+        n, face = cast_feeler(grid, (x[i], y[i], z[i]), (wx[i] / size, wy[i] / size, wz[i] / size), far)
         if face == FURTHER:
             count += 1
             t[i] = np.float32(n[3])
@@ -149,7 +149,7 @@ def feel_askers(
 
 
 @called
-def feel(grid: Grid, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
+def cast_feeler(grid: Grid, p: Vec3F32, d: Vec3F32, reach: F32) -> tuple[tuple[F64, F64, F64, F64], I64]:
     """Return the hit of a feeler, and the face. The hit contains the unit normal towards the feeler's origin, and the distance in
     mm (inf = no hit, NaN = the grid cannot answer)."""
     shape, normals = grid[0], grid[7]
@@ -180,9 +180,9 @@ def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     # A ray that stays in a layer has its borders infinitely far away, and none that is outside enters it.
     mx, my, mz = abs(dx) > _STILL, abs(dy) > _STILL, abs(dz) > _STILL
     ix, iy, iz = 1.0 / dx if mx else np.inf, 1.0 / dy if my else np.inf, 1.0 / dz if mz else np.inf
-    bx, ex = _between(px, ix, mx, np.float64(size[0]))
-    by, ey = _between(py, iy, my, np.float64(size[1]))
-    bz, ez = _between(pz, iz, mz, np.float64(size[2]))
+    bx, ex = _axis_interval(px, ix, mx, np.float64(size[0]))
+    by, ey = _axis_interval(py, iy, my, np.float64(size[1]))
+    bz, ez = _axis_interval(pz, iz, mz, np.float64(size[2]))
     begin, end = max(max(max(bx, by), bz), 0.0), min(min(min(ex, ey), ez), 1.0)
     if begin > end:
         return np.inf, NOTHING
@@ -209,10 +209,10 @@ def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
             if cx * cx + cy * cy + cz * cz > away * away:
                 continue
             f = listed[k]
-            t = -along(planes, f, 0, a[0], a[1], a[2]) / towards(planes, f, 0, w[0], w[1], w[2])
+            t = -evaluate_point(planes, f, 0, a[0], a[1], a[2]) / evaluate_direction(planes, f, 0, w[0], w[1], w[2])
             if t > h and t <= most:
-                w1 = along(planes, f, 1, a[0], a[1], a[2]) + t * towards(planes, f, 1, w[0], w[1], w[2])
-                w2 = along(planes, f, 2, a[0], a[1], a[2]) + t * towards(planes, f, 2, w[0], w[1], w[2])
+                w1 = evaluate_point(planes, f, 1, a[0], a[1], a[2]) + t * evaluate_direction(planes, f, 1, w[0], w[1], w[2])
+                w2 = evaluate_point(planes, f, 2, a[0], a[1], a[2]) + t * evaluate_direction(planes, f, 2, w[0], w[1], w[2])
                 if (1.0 - w1) - w2 >= -CLOSED and w1 >= -CLOSED and w2 >= -CLOSED and (t < best or f < face):
                     best, face, most = t, f, t
         # Where the ray leaves the cube: what it meets before is listed in it.
@@ -232,31 +232,31 @@ def first_hit(grid: Grid, a: Vec3, w: Vec3) -> tuple[F64, I64]:
 
 
 @inlined
-def fetch_rays(
+def prefetch_rays(
     grid: Grid, origins: Array2[F64], zero: Vec3, displacements: Array2[F64], rays: Array1[I64], cells: Array1[I64], count: I64
 ) -> None:
     """Prefetch the faces near both ends of the rays with numbers in `rays`. Origins and ways (3, k) are relative to `zero`."""
     for n in range(count):
-        _look_along(grid, minus(of(origins, rays[n]), zero), of(displacements, rays[n]), cells, n)
-    _fetch_lists(grid, cells, count)
+        _list_end_cubes(grid, minus(of(origins, rays[n]), zero), of(displacements, rays[n]), cells, n)
+    _prefetch_lists(grid, cells, count)
 
 
 @inlined
-def _look_along(grid: Grid, a: Vec3, w: Vec3, cells: Array1[I64], n: I64) -> None:
+def _list_end_cubes(grid: Grid, a: Vec3, w: Vec3, cells: Array1[I64], n: I64) -> None:
     """Write the cubes at both ends of ray `n` of a batch into `cells`."""
-    cells[2 * n] = _look_at(grid, a)
-    cells[2 * n + 1] = _look_at(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
+    cells[2 * n] = _prefetch_cube(grid, a)
+    cells[2 * n + 1] = _prefetch_cube(grid, (a[0] + w[0], a[1] + w[1], a[2] + w[2]))
 
 
 @inlined
-def _fetch_lists(grid: Grid, cells: Array1[I64], count: I64) -> None:
+def _prefetch_lists(grid: Grid, cells: Array1[I64], count: I64) -> None:
     """Prefetch the first faces of the cubes of `count` rays."""
     for n in range(2 * count):
-        _fetch_list(grid, cells[n])
+        _prefetch_list(grid, cells[n])
 
 
 @inlined
-def _look_at(grid: Grid, a: Vec3) -> I64:
+def _prefetch_cube(grid: Grid, a: Vec3) -> I64:
     """Return the cube of a position, or the nearest one of the grid. Prefetch the start of its list."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
@@ -269,7 +269,7 @@ def _look_at(grid: Grid, a: Vec3) -> I64:
 
 
 @inlined
-def _fetch_list(grid: Grid, cell: I64) -> None:
+def _prefetch_list(grid: Grid, cell: I64) -> None:
     """Prefetch the first faces of a cube: two fit in a cache line."""
     first, listed, bound = grid[2], grid[3], grid[4]
     k: I64 = first[cell]
@@ -281,7 +281,7 @@ def _fetch_list(grid: Grid, cell: I64) -> None:
 
 
 @inlined
-def _between(p: F64, inverse: F64, moves: BOOL, size: F64) -> tuple[F64, F64]:
+def _axis_interval(p: F64, inverse: F64, moves: BOOL, size: F64) -> tuple[F64, F64]:
     """Return the parts of its length at which a ray enters and leaves the grid along one axis."""
     if not moves:
         return (0.0, 1.0) if p >= 0.0 and p < size else (np.inf, -np.inf)

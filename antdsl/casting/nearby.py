@@ -43,7 +43,7 @@ def list_askers(asks: Sequence[Ask]) -> list[tuple[int, NDArray[np.intp]]]:
     return [(number, np.flatnonzero(asking)) for number, (asking, *_) in enumerate(asks)]
 
 
-class Nearby:
+class ProximityQueries:
     """Queries of triangles near positions; `casting.rays` implements the underlying ones."""
 
     origin: Vectors
@@ -61,15 +61,15 @@ class Nearby:
         """Return mesh, face, position and distance of the nearest face to each point."""
         raise NotImplementedError
 
-    def _within(
+    def _first_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
         raise NotImplementedError
 
-    def _towards(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
+    def _facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
         raise NotImplementedError
 
-    def _triangles(self) -> TriangleGrid | None:
+    def _triangle_grid(self) -> TriangleGrid | None:
         raise NotImplementedError
 
     def _bound_distances(self, points: Vectors) -> Vectors:
@@ -80,17 +80,17 @@ class Nearby:
         if self._empty:
             return np.full(len(x), np.inf, np.float32)
         if self._grid is None:
-            self._grid = self._distances()
+            self._grid = self._distance_grid()
         if len(x) >= _CROWD and not self._refined and not self._brief:
             self._refined = True
             self._grid.refine(self._bound_distances)
-        return self._grid.at_least(x, y, z, threads)
+        return self._grid.lower_bounds(x, y, z, threads)
 
-    def _distances(self) -> DistanceGrid:
+    def _distance_grid(self) -> DistanceGrid:
         corners = self._faces.corners + self.origin
         return DistanceGrid(corners, _BRIEF_CELLS, False) if self._brief else DistanceGrid(corners, lasting=self._lasting)
 
-    def feelers(
+    def cast_feelers(
         self,
         x: NDArray[Any],
         y: NDArray[Any],
@@ -110,14 +110,14 @@ class Nearby:
         assert isinstance(reach, np.ndarray)
         grid = self._grid_for((x, y, z, dx, dy, dz))
         if grid is not None:
-            results, left = grid.feelers((x, y, z), (dx, dy, dz), reach)
+            results, left = grid.cast_feelers((x, y, z), (dx, dy, dz), reach)
             if left:
                 unknown_rows = np.flatnonzero(np.isnan(results[0]))
                 rays = tuple(each.take(unknown_rows) for each in (x, y, z, dx, dy, dz))
-                results[0, unknown_rows], results[1:, unknown_rows] = self._touched(rays, reach.take(unknown_rows), threads)
+                results[0, unknown_rows], results[1:, unknown_rows] = self._cast_rays(rays, reach.take(unknown_rows), threads)
             t, normal = results[0], results[1:]
         else:
-            t, normal = self._touched((x, y, z, dx, dy, dz), reach, threads)
+            t, normal = self._cast_rays((x, y, z, dx, dy, dz), reach, threads)
         return FeelerHits(t < np.inf, t, *normal)
 
     def feel_batch(self, positions: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
@@ -125,7 +125,7 @@ class Nearby:
         faces, [n] each. Each request has ways (x y z) of any length and their reach, [n] each, and result arrays: hit, distance
         and normal (x y z), [n] each. Results must be initialised to no hit; all arrays are contiguous float32. Returns, with the
         number of each request, the rows that still need `feelers`: all if there is no grid."""
-        grid = self._triangles()
+        grid = self._triangle_grid()
         if grid is None:
             return list_askers(asks)
         left = []
@@ -138,35 +138,35 @@ class Nearby:
 
     def tables(self) -> Tables | None:
         """Return the grid of triangles as kernels read it; None if there is none."""
-        grid = self._triangles()
+        grid = self._triangle_grid()
         return None if grid is None else grid.tables
 
     def _grid_for(self, columns: tuple[NDArray[Any], ...]) -> TriangleGrid | None:
         """Return the grid if its kernels accept these columns."""
-        return self._triangles() if all(each.dtype == np.float32 for each in columns) else None
+        return self._triangle_grid() if all(each.dtype == np.float32 for each in columns) else None
 
-    def _touched(
+    def _cast_rays(
         self, rays: tuple[NDArray[Any], ...], reach: NDArray[np.float32], threads: int
     ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return distance and normal of what feelers touch, for rays as six columns, with array operations."""
         x, y, z, dx, dy, dz = rays
         t = np.full(len(x), np.inf, np.float32)
         normal = np.zeros((3, len(x)), np.float32)
-        near = self._reachable(x, y, z, dx, dy, dz, reach)
+        near = self._select_reachable(x, y, z, dx, dy, dz, reach)
         if near.size:
             length = reach.take(near)
             origin, displacement = np.empty((3, near.size)), np.empty((3, near.size))
             for axis, (place, step) in enumerate(((x, dx), (y, dy), (z, dz))):
                 np.subtract(place.take(near), self.origin[axis], out=origin[axis])
                 np.multiply(step.take(near), length, out=displacement[axis], dtype=np.float64)
-            hit_rows, part, face = self._within(origin.T, displacement.T, threads)
+            hit_rows, part, face = self._first_hits_within(origin.T, displacement.T, threads)
             if hit_rows.size:
                 near = near.take(hit_rows)
                 t[near] = part * length.take(hit_rows)
-                normal[:, near] = self._towards(face, displacement.T[hit_rows]).T
+                normal[:, near] = self._facing_normals(face, displacement.T[hit_rows]).T
         return t, normal
 
-    def near(
+    def nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
         """Return the nearest face within `reach` (mm, one or float[n]) of positions, 1-D arrays: distance, and unit direction
@@ -177,8 +177,8 @@ class Nearby:
         normal = np.zeros((3, n), np.float32)
         if not self._empty and n:
             if self._grid is None:
-                self._grid = self._distances()
-            candidates = np.flatnonzero(self._grid.at_least(x, y, z) <= reach)
+                self._grid = self._distance_grid()
+            candidates = np.flatnonzero(self._grid.lower_bounds(x, y, z) <= reach)
             points = np.stack([x[candidates], y[candidates], z[candidates]], axis=1).astype(np.float64)
             _, _, place, distance = self.closest(points, threads, reach[candidates] * END)
             hit_rows = np.flatnonzero(distance.astype(np.float32) <= reach[candidates])
@@ -211,14 +211,14 @@ class Nearby:
         mesh, face, place, distance = self.closest(points, threads, within)
         if self._empty or not len(points):
             return distance.astype(np.float32), np.zeros((3, len(points)), np.float32)
-        normal = self._faces.normal(face + self._first_face[mesh])
+        normal = self._faces.normals(face + self._first_face[mesh])
         away = points - place
         side = np.where((away[:, 0] * normal[:, 0] + away[:, 1] * normal[:, 1]) + away[:, 2] * normal[:, 2] < 0, -1.0, 1.0)
         touching = distance < TOUCHING
         out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, TOUCHING))[:, None])
         return (distance * side).astype(np.float32), np.ascontiguousarray(out.T, np.float32)
 
-    def _reachable(
+    def _select_reachable(
         self,
         x: NDArray[Any],
         y: NDArray[Any],
@@ -232,7 +232,7 @@ class Nearby:
         if self._empty:
             return np.empty(0, np.int64)
         if self._grid is None:
-            self._grid = self._distances()
+            self._grid = self._distance_grid()
         half = reach * np.float32(0.5)
-        least = self._grid.at_least(x + dx * half, y + dy * half, z + dz * half)
+        least = self._grid.lower_bounds(x + dx * half, y + dy * half, z + dz * half)
         return np.flatnonzero(least <= half * np.float32(1 + 1e-4) + np.float32(1e-4))

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.casting.faces import nearest_on, square_of
+from antdsl.casting.faces import nearest_on, squared_length
 from antdsl.casting.grid_rays import Grid, Three
 from antdsl.casting.tolerances import BEYOND, FURTHER, RINGS, TOUCHING, UNSURE
 from antdsl.machine_code.kernels import (
@@ -34,14 +34,14 @@ def signed_distances(grid: Grid, positions: Three, results: Array2[F32], begin: 
     x, y, z = positions
     count = 0
     for i in range(begin, end):
-        gap, out = way_out(grid, (x[i], y[i], z[i]), np.inf)
+        gap, out = signed_distance(grid, (x[i], y[i], z[i]), np.inf)
         count += 1 if gap != gap else 0
         results[0, i], results[1, i], results[2, i], results[3, i] = gap, out[0], out[1], out[2]
     return count
 
 
 @inlined
-def way_out(grid: Grid, place: Vec3F32, within: F64) -> tuple[F32, Vec3F32]:
+def signed_distance(grid: Grid, place: Vec3F32, within: F64) -> tuple[F32, Vec3F32]:
     """As `apart`, for one position: its signed distance to the faces and the direction out. The distance is NaN where the grid
     cannot tell, and infinite where it is more than `within` mm."""
     shape, normals = grid[0], grid[7]
@@ -68,7 +68,7 @@ def way_out(grid: Grid, place: Vec3F32, within: F64) -> tuple[F32, Vec3F32]:
 
 
 @kernel
-def nearests(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Array1[F64], face: Array1[I64]) -> None:
+def nearest_points(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Array1[F64], face: Array1[I64]) -> None:
     """As `TriangleGrid.nearest`, into the last three arrays."""
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
@@ -77,14 +77,14 @@ def nearests(grid: Grid, points: Strided2[F64], place: Array2[F64], square: Arra
 
 
 @inlined
-def fetch_around(grid: Grid, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
+def prefetch_around(grid: Grid, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
     """Prefetch the list starts of the cubes around a position. Write these cubes, in nine rows of three, to `rows` from index 9
     `k` on."""
     shape, size, first = grid[0], grid[1], grid[2]
     part = 1.0 / shape[3]
-    mx = _layer(np.float64(place[0]) - shape[6], shape[0], part, size[0])
-    my = _layer(np.float64(place[1]) - shape[7], shape[1], part, size[1])
-    mz = _layer(np.float64(place[2]) - shape[8], shape[2], part, size[2])
+    mx = _layer_index(np.float64(place[0]) - shape[6], shape[0], part, size[0])
+    my = _layer_index(np.float64(place[1]) - shape[7], shape[1], part, size[1])
+    mz = _layer_index(np.float64(place[2]) - shape[8], shape[2], part, size[2])
     for x in range(3):
         for y in range(3):
             row = min(max(mx + x - 1, 0), size[0] - 1) * size[1] + min(max(my + y - 1, 0), size[1] - 1)
@@ -94,7 +94,7 @@ def fetch_around(grid: Grid, place: Vec3F32, rows: Array1[I64], k: I64) -> None:
 
 
 @inlined
-def fetch_lists(grid: Grid, rows: Array1[I64], count: I64) -> None:
+def prefetch_lists(grid: Grid, rows: Array1[I64], count: I64) -> None:
     """Prefetch the first faces of `count` rows of three cubes."""
     first, listed, bound = grid[2], grid[3], grid[4]
     last = first.size - 1
@@ -107,7 +107,7 @@ def fetch_lists(grid: Grid, rows: Array1[I64], count: I64) -> None:
 
 
 @inlined
-def _layer(at: F64, low: F64, part: F64, size: I64) -> I64:
+def _layer_index(at: F64, low: F64, part: F64, size: I64) -> I64:
     return min(max(nearest_integer(np.floor((at - low) * part)), 0), size - 1)
 
 
@@ -126,15 +126,15 @@ def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
     # How far the nearest that has the place before it is at most, and both; how far faces on either side matter.
     ahead, until, before_it, behind_it = np.inf, np.inf, within + off, np.inf
     latest, second, third = FURTHER, FURTHER, FURTHER  # faces queried last: neighbouring cubes contain them too
-    if not (_around(ax, size[0]) and _around(ay, size[1]) and _around(az, size[2])):
+    if not (_is_near_grid(ax, size[0]) and _is_near_grid(ay, size[1]) and _is_near_grid(az, size[2])):
         return best, face, place
-    mx, my, mz = _middle(ax, size[0]), _middle(ay, size[1]), _middle(az, size[2])
+    mx, my, mz = _clamped_index(ax, size[0]), _clamped_index(ay, size[1]), _clamped_index(az, size[2])
     ring, looking = 0, True
     while looking and ring <= RINGS:
         low, high = max(mz - ring, 0), min(mz + ring, size[2] - 1)
         for x in range(max(mx - ring, 0), min(mx + ring, size[0] - 1) + 1):
             for y in range(max(my - ring, 0), min(my + ring, size[1] - 1) + 1):
-                if _off(ax, x) + _off(ay, y) > until * part * part * (1 + 1e-6):
+                if _squared_layer_gap(ax, x) + _squared_layer_gap(ay, y) > until * part * part * (1 + 1e-6):
                     continue
                 # On the sides of the ring all cubes of a row are new and contiguous; elsewhere only its two ends are new.
                 side = abs(x - mx) == ring or abs(y - my) == ring
@@ -151,23 +151,23 @@ def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
                                     limit = np.sqrt(ahead) + off
                                     until = min(until, limit * limit)
                                     behind_it = min(behind_it, limit + off)
-                                if _farther(np.float64(bound[k, 7]) + off, above, from_ball, before_it):
+                                if _is_farther(np.float64(bound[k, 7]) + off, above, from_ball, before_it):
                                     continue
-                            elif _farther(np.float64(bound[k, 7]) + off, above, from_ball, behind_it):
+                            elif _is_farther(np.float64(bound[k, 7]) + off, above, from_ball, behind_it):
                                 continue
                             f = listed[k]
                             if f == face or latest == f or second == f or third == f:
                                 continue
                             latest, second, third = f, latest, second
                             q = nearest_on(corners, f, p)
-                            d = square_of(minus(q, p))
+                            d = squared_length(minus(q, p))
                             if d < best or (d == best and f < face):
                                 best, face, place, least = d, f, q, np.sqrt(d) + off
                                 until, before_it, behind_it = min(until, d), min(before_it, least), min(behind_it, least)
                     z = last + 1 if side or z == high else high
-        known = _known(ax, mx, ring, size[0])
-        known = min(known, _known(ay, my, ring, size[1]))
-        known = min(known, _known(az, mz, ring, size[2])) * width
+        known = _covered_distance(ax, mx, ring, size[0])
+        known = min(known, _covered_distance(ay, my, ring, size[1]))
+        known = min(known, _covered_distance(az, mz, ring, size[2])) * width
         looking = not until <= known * known
         ring += 1
     if within < np.inf and (looking or best > within * within):
@@ -187,7 +187,7 @@ def _plane_and_ball(bound: Array2[F32], k: I64, p: Vec3) -> tuple[F64, F64]:
 
 
 @inlined
-def _farther(away: F64, above: F64, square: F64, least: F64) -> BOOL:
+def _is_farther(away: F64, above: F64, square: F64, least: F64) -> BOOL:
     """Return whether a face is certainly farther than `least`: by its plane, or within the plane by its bounding ball of radius
     `away`."""
     if abs(above) > least:
@@ -199,17 +199,17 @@ def _farther(away: F64, above: F64, square: F64, least: F64) -> BOOL:
 
 
 @inlined
-def _around(at: F64, size: I64) -> BOOL:
+def _is_near_grid(at: F64, size: I64) -> BOOL:
     return at >= -RINGS and at <= size + RINGS
 
 
 @inlined
-def _middle(at: F64, size: I64) -> I64:
+def _clamped_index(at: F64, size: I64) -> I64:
     return min(np.int64(np.floor(max(at, 0.0))), size - 1)
 
 
 @inlined
-def _known(at: F64, middle: I64, ring: I64, size: I64) -> F64:
+def _covered_distance(at: F64, middle: I64, ring: I64, size: I64) -> F64:
     below, above = middle - ring, middle + ring + 1
     low = np.inf if below <= 0 else at - np.float64(below)
     high = np.inf if above >= size else np.float64(above) - at
@@ -217,7 +217,7 @@ def _known(at: F64, middle: I64, ring: I64, size: I64) -> F64:
 
 
 @inlined
-def _off(at: F64, cell: I64) -> F64:
+def _squared_layer_gap(at: F64, cell: I64) -> F64:
     """Return the squared distance (in cubes) of a point from a layer of cubes along one axis. A tolerance allows for faces that
     extend beyond their cubes."""
     off = max(max(np.float64(cell) - at, at - np.float64(cell + 1)) - 1e-5, 0.0)

@@ -19,7 +19,7 @@ class Obstacle(Protocol):
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (float32[n]) within which positions have no surface; 0 when near."""
 
-    def feelers(
+    def cast_feelers(
         self,
         x: NDArray[Any],
         y: NDArray[Any],
@@ -37,7 +37,7 @@ class Obstacle(Protocol):
         (mm) free of surface. Each request has ways (x y z) of any length and their reach, and result arrays: hit, distance and
         normal (x y z), initialised to no hit. Returns, with the number of each request, the rows that still need `feelers`."""
 
-    def near(
+    def nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
         """Return the nearest surface within `reach` (one or float[n]) of positions: distance, and unit direction towards the

@@ -14,7 +14,7 @@ _CHUNK = 1 << 17  # rays at once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Sights:
+class PictureHits:
     """The hits of n rays: `t` float32[n] in lengths of the direction (inf = nothing), `face` int32[n] (-1 = nothing). `u` and `v`
     are the weights of the face's second and third corner. `normal` float32[n,3]: the face's unit normal, towards the ray's
     origin."""
@@ -40,14 +40,14 @@ class PictureRays:
         points = (vertices - self.origin.astype(vertices.dtype)).astype(np.float32)
         self._scene.add_triangles(_tensor(points), _tensor(faces.astype(np.uint32)))
 
-    def cast(self, origin: NDArray[Any], direction: NDArray[np.float32], threads: int = 1) -> Sights:
+    def cast(self, origin: NDArray[Any], direction: NDArray[np.float32], threads: int = 1) -> PictureHits:
         """The first hit of each ray from `origin` [n,3] or [3] along `direction` [n,3]."""
         n = len(direction)
         t, face = np.full(n, np.inf, np.float32), np.full(n, -1, np.int32)
         u, v, normal = np.zeros(n, np.float32), np.zeros(n, np.float32), np.zeros((n, 3), np.float32)
         for start in range(0, n if self.faces else 0, _CHUNK):
             own = slice(start, min(start + _CHUNK, n))
-            answer = self._scene.cast_rays(_tensor(self._rays(origin, direction, own)), nthreads=threads)
+            answer = self._scene.cast_rays(_tensor(self._prepare_rays(origin, direction, own)), nthreads=threads)
             t[own] = answer["t_hit"].numpy()
             named = answer["primitive_ids"].numpy()
             face[own] = np.where(np.isfinite(t[own]), named, 0).astype(np.int32) - ~np.isfinite(t[own])
@@ -55,7 +55,7 @@ class PictureRays:
             normal[own] = answer["primitive_normals"].numpy()
         away = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2] > 0
         normal[away] *= -1
-        return Sights(t, face, u, v, normal)
+        return PictureHits(t, face, u, v, normal)
 
     def occluded(
         self, origin: NDArray[Any], direction: NDArray[np.float32], far: float = np.inf, threads: int = 1
@@ -65,11 +65,11 @@ class PictureRays:
         is_occluded = np.zeros(n, np.bool_)
         for start in range(0, n if self.faces else 0, _CHUNK):
             own = slice(start, min(start + _CHUNK, n))
-            rays = _tensor(self._rays(origin, direction, own))
+            rays = _tensor(self._prepare_rays(origin, direction, own))
             is_occluded[own] = self._scene.test_occlusions(rays, tnear=0.0, tfar=far, nthreads=threads).numpy()
         return is_occluded
 
-    def _rays(self, origin: NDArray[Any], direction: NDArray[np.float32], own: slice) -> NDArray[np.float32]:
+    def _prepare_rays(self, origin: NDArray[Any], direction: NDArray[np.float32], own: slice) -> NDArray[np.float32]:
         rays = np.empty((own.stop - own.start, 6), np.float32)
         np.subtract(origin if origin.ndim == 1 else origin[own], self.origin, out=rays[:, :3], casting="unsafe")
         rays[:, 3:] = direction[own]

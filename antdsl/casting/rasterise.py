@@ -26,10 +26,10 @@ def triangle_cells(
     (cells), cells within that distance of a triangle come too. Triangle against box: Akenine-Möller, Fast 3D Triangle-Box Overlap
     Testing, 2001, p. 2-4."""
     for a in range(0, len(corners), _PIECE):
-        yield from _cells(corners[a : a + _PIECE], np.arange(a, min(a + _PIECE, len(corners))), exact, margin)
+        yield from _touched_cells(corners[a : a + _PIECE], np.arange(a, min(a + _PIECE, len(corners))), exact, margin)
 
 
-def _cells(
+def _touched_cells(
     tri: NDArray[np.float64], name: NDArray[np.int64], exact: bool, margin: float
 ) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
     """As `triangle_cells`, for at most `_PIECE` triangles and their names.
@@ -53,12 +53,12 @@ def _cells(
             for a in range(0, len(quarters), _PIECE):
                 todo.append((quarters[a : a + _PIECE], names[a : a + _PIECE]))
         if thin.any():
-            for slices, which in _slices(tri[thin]):
-                for pairs in _cells(slices, name[thin][which], exact, margin):
-                    yield _each_once(*pairs)
+            for slices, which in _slice_triangles(tri[thin]):
+                for pairs in _touched_cells(slices, name[thin][which], exact, margin):
+                    yield _drop_repeats(*pairs)
 
 
-def _each_once(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _drop_repeats(cells: NDArray[np.int64], name: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return the pairs without most duplicates: halves of a slice share cells, and so do neighbouring parts."""
     least = cells.min(axis=0, initial=np.iinfo(np.int64).max)
     key = name - name.min(initial=0)
@@ -81,7 +81,7 @@ def _are_thin(tri: NDArray[np.float64]) -> NDArray[np.bool_]:
     return thin
 
 
-def _slices(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
+def _slice_triangles(tri: NDArray[np.float64]) -> Iterator[tuple[NDArray[np.float64], NDArray[np.int64]]]:
     """Yield triangles cut across their longest side: at most `_PIECE` parts per batch, and the triangle number of each.
 
     The height cuts a triangle in two. Each half is cut along the height, from its tip on, and each slice into two triangles."""
@@ -139,12 +139,12 @@ def _box_cells(
     if exact:
         flat = np.ascontiguousarray(tri.reshape(-1, 9).T)
         parts = [slice(at, at + _TESTED) for at in range(0, len(which), _TESTED)]
-        touched = np.concatenate([_touch(flat, which[part], cells[part], 0.5 + margin) for part in parts])
+        touched = np.concatenate([_is_touching(flat, which[part], cells[part], 0.5 + margin) for part in parts])
         cells, which = cells[touched], which[touched]
     return cells, name[which]
 
 
-def _touch(tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDArray[np.int64], half: float) -> NDArray[np.bool_]:
+def _is_touching(tri: NDArray[np.float64], which: NDArray[np.int64], cells: NDArray[np.int64], half: float) -> NDArray[np.bool_]:
     """Return whether triangles `which` int64[k] of float64[9,n] meet cells int64[k,3], given that their bounding boxes do:
     bool[k]. `half`: half the edge of the tested cells."""
     middle = cells.T + 0.5

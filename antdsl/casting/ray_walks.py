@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.faces import along, nearest_on, towards
+from antdsl.casting.faces import evaluate_direction, evaluate_point, nearest_on
 from antdsl.casting.grid_rays import Grid
 from antdsl.casting.tolerances import NOTHING, UNSURE
 from antdsl.machine_code.kernels import (
@@ -58,7 +58,7 @@ def find_rings(faces: Faces, grid: Grid, lasting: bool, threads: int = 1) -> Arr
     opposite of each corner, -1 for none, int32[m,32]; and at BALL middle and square of the radius, which is 0 where the ring is
     open or not flat, float32[m,32]. `lasting`: whether another run may request the same."""
     count = len(faces.corners) if lasting else 0
-    tables = stored_tables.stored("rings", count, (faces.corners, *grid[0][:5]), partial(_rings, faces, grid, threads))
+    tables = stored_tables.get_or_compute("rings", count, (faces.corners, *grid[0][:5]), partial(_rings, faces, grid, threads))
     space = np.zeros(16 * len(faces.corners) + 8)
     rows = space[-space.ctypes.data % 64 // 8 :][: 16 * len(faces.corners)].reshape(-1, 4, 4)
     links, balls = (rows.reshape(-1, 16).view(kind) for kind in (np.int32, np.float32))
@@ -196,9 +196,9 @@ def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[
     h = grid[0][5] / np.sqrt(dot(w, w))
     g, count = f, 0
     while g >= 0 and count < _WALK:
-        at, to = along(planes, g, 0, a[0], a[1], a[2]), towards(planes, g, 0, w[0], w[1], w[2])
-        a1, d1 = along(planes, g, 1, a[0], a[1], a[2]), towards(planes, g, 1, w[0], w[1], w[2])
-        a2, d2 = along(planes, g, 2, a[0], a[1], a[2]), towards(planes, g, 2, w[0], w[1], w[2])
+        at, to = evaluate_point(planes, g, 0, a[0], a[1], a[2]), evaluate_direction(planes, g, 0, w[0], w[1], w[2])
+        a1, d1 = evaluate_point(planes, g, 1, a[0], a[1], a[2]), evaluate_direction(planes, g, 1, w[0], w[1], w[2])
+        a2, d2 = evaluate_point(planes, g, 2, a[0], a[1], a[2]), evaluate_direction(planes, g, 2, w[0], w[1], w[2])
         t = -at / to
         if t > h and t <= 1.0:
             w1, w2 = a1 + t * d1, a2 + t * d2
@@ -208,8 +208,11 @@ def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[
             if least > -_SURE:
                 break
         # Weights of what is below the ray or above it, seen along the normal of the first face, at its origin and by its length.
-        rise = towards(planes, g, 0, up[0], up[1], up[2])
-        r1, r2 = towards(planes, g, 1, up[0], up[1], up[2]) / rise, towards(planes, g, 2, up[0], up[1], up[2]) / rise
+        rise = evaluate_direction(planes, g, 0, up[0], up[1], up[2])
+        r1, r2 = (
+            evaluate_direction(planes, g, 1, up[0], up[1], up[2]) / rise,
+            evaluate_direction(planes, g, 2, up[0], up[1], up[2]) / rise,
+        )
         a1, d1, a2, d2 = a1 - r1 * at, d1 - r1 * to, a2 - r2 * at, d2 - r2 * to
         a0, d0 = (1.0 - a1) - a2, -d1 - d2
         out0, out1 = -a0 / d0 if d0 < 0 else 1.0, -a1 / d1 if d1 < 0 else 1.0
@@ -231,7 +234,10 @@ def _below(planes: Array3[F64], links: Array2[I32], start: I64, place: Vec3) -> 
     """The face that a place is above or below and not near a side of, searched over neighbours; -1 for none."""
     f, count = start, 0
     while f >= 0 and count < _SEARCH:
-        w1, w2 = along(planes, f, 1, place[0], place[1], place[2]), along(planes, f, 2, place[0], place[1], place[2])
+        w1, w2 = (
+            evaluate_point(planes, f, 1, place[0], place[1], place[2]),
+            evaluate_point(planes, f, 2, place[0], place[1], place[2]),
+        )
         w0 = (1.0 - w1) - w2
         least = min(min(w0, w1), w2)
         if least >= _SURE:

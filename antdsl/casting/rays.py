@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces, nearest_on_triangle
-from antdsl.casting.nearby import END, Index, Nearby, Vectors
+from antdsl.casting.nearby import END, Index, ProximityQueries, Vectors
 from antdsl.casting.open3d_module import open3d, require_open3d
 from antdsl.casting.ray_walks import Arrays, find_rings
 from antdsl.casting.tolerances import FURTHER, NOTHING
@@ -48,7 +48,7 @@ class Hits:
         return self.face >= 0
 
 
-class RayScene(Nearby):
+class RayScene(ProximityQueries):
     """Triangle meshes that rays can be cast at. Vertices are float64[n,3], faces int[m,3]; lengths are in millimetres.
 
     Open3D computes in float32 around the centre of meshes that are far from the world's origin, and its last bits depend on the
@@ -105,10 +105,10 @@ class RayScene(Nearby):
     def _scene(self) -> Any:
         """Open3D's scene, built on first use: the grid answers most queries of a run."""
         if self._tree is None:
-            self._tree = self._built(self._faces.widened())
+            self._tree = self._build_scene(self._faces.widened_corners())
         return self._tree
 
-    def _built(self, corners: NDArray[np.float32]) -> Any:
+    def _build_scene(self, corners: NDArray[np.float32]) -> Any:
         # By one thread, so that the tree is the same on every machine of one kind.
         scene = open3d().t.geometry.RaycastingScene(nthreads=1)
         scene.add_triangles(self._tensor(corners), self._tensor(np.arange(len(corners), dtype=np.uint32).reshape(-1, 3)))
@@ -128,12 +128,12 @@ class RayScene(Nearby):
         for start in range(0, n, _CHUNK):
             rays = slice(start, start + _CHUNK)
             directions = np.ascontiguousarray(direction[rays], np.float64)
-            hit_rows, fractions, face, at = self._first(
+            hit_rows, fractions, face, at = self._first_hits(
                 np.asarray(origin[rays], np.float64) - self.origin, directions, np.inf, threads
             )
             rows = start + hit_rows
-            t[rows], weights[rows], normal[rows] = fractions, at, self._towards(face, directions[hit_rows])
-            mesh[rows], local[rows] = self._counted(face)
+            t[rows], weights[rows], normal[rows] = fractions, at, self._facing_normals(face, directions[hit_rows])
+            mesh[rows], local[rows] = self._mesh_and_face(face)
         return Hits(t, mesh, local, weights[:, 1], weights[:, 2], normal)
 
     def cast_within(
@@ -141,53 +141,53 @@ class RayScene(Nearby):
     ) -> tuple[Index, Vectors, NDArray[np.int32], NDArray[np.int32]]:
         """Return the rays that hit from `origin` [n,3] to `origin + step`, ascending, with t, mesh and face. `most_hit`: skip the
         occlusion query."""
-        which, t, face = self._within(origin - self.origin, step, threads, most_hit)
-        return which, t, *self._counted(face)
+        which, t, face = self._first_hits_within(origin - self.origin, step, threads, most_hit)
+        return which, t, *self._mesh_and_face(face)
 
-    def faced(
+    def trace_normals(
         self, origin: Vectors, displacement: Vectors, normals: Vectors, named: Index, threads: int = 1
     ) -> tuple[Index, Vectors, Vectors]:
         """Return the rays that hit between `origin` [n,3] and `origin + way`, ascending; the part of `displacement` at the hit;
         and the normal (3, k). Normals come from `normals` (3, m), by the `named` number of each face of the scene."""
-        grid = self._triangles()
+        grid = self._triangle_grid()
         if grid is not None:
-            results, left = grid.faced(origin, displacement, normals, named, threads)
+            results, left = grid.trace_normals(origin, displacement, normals, named, threads)
             if not left:
                 return results
-        which, part, face = self._within(origin - self.origin, displacement, threads)
+        which, part, face = self._first_hits_within(origin - self.origin, displacement, threads)
         return which, part, normals.take(named.take(face), axis=1)
 
     def rings(self, threads: int = 1) -> Arrays | None:
         """What walks of rays need in addition to `tables`, computed at the first call; None where there is no grid."""
-        grid = self._triangles()
+        grid = self._triangle_grid()
         if grid is not None and self._rings is None:
             self._rings = find_rings(self._faces, grid.tables, self._lasting, threads)
         return self._rings
 
-    def _triangles(self) -> TriangleGrid | None:
+    def _triangle_grid(self) -> TriangleGrid | None:
         """Return the grid for short rays and near faces, built on first use; None for a scene of a single step."""
         if not self._sought:
             self._sought = True
             self._short = TriangleGrid.of(self._faces, self.origin, self._lasting)
         return self._short
 
-    def _within(
+    def _first_hits_within(
         self, origin: Vectors, displacement: Vectors, threads: int, most_hit: bool = False
     ) -> tuple[Index, Vectors, Index]:
         """As `_first` within one length of `displacement`, without weights; short rays use the grid."""
-        grid = self._triangles()
+        grid = self._triangle_grid()
         if grid is None:
-            return self._first(origin, displacement, 1.0, threads, most_hit)[:3]
+            return self._first_hits(origin, displacement, 1.0, threads, most_hit)[:3]
         t, face = grid.first(origin, displacement, threads)
         further = np.flatnonzero(face == FURTHER)
         if further.size:
             face[further] = NOTHING
-            rows, part, named, _ = self._first(origin[further], displacement[further], 1.0, threads, most_hit)
+            rows, part, named, _ = self._first_hits(origin[further], displacement[further], 1.0, threads, most_hit)
             t[further[rows]], face[further[rows]] = part, named
         hit_rows = np.flatnonzero(face >= 0)
         return hit_rows, t.take(hit_rows), face.take(hit_rows)
 
-    def _first(self, origin: Vectors, displacement: Vectors, most: float, threads: int, most_hit: bool = False) -> RayHits:
+    def _first_hits(self, origin: Vectors, displacement: Vectors, most: float, threads: int, most_hit: bool = False) -> RayHits:
         """Return the rays that hit within `most` lengths of `displacement` [n,3], from points [n,3] relative to the scene's
         origin. The result has their numbers, ascending, the part of `displacement`, the face over all meshes and the weights of
         its corners.
@@ -215,7 +215,7 @@ class RayScene(Nearby):
                 begin = None if begin is None else begin[maybe]
             if not rows.size:
                 break
-            part, named = self._named(rays, threads)
+            part, named = self._open3d_hits(rays, threads)
             if most < np.inf and not many:  # a ray is occluded before the end exactly if its first hit lies before the end
                 named[part > np.float32(most * END)] = -1
             at: NDArray[Any] = part if begin is None else begin + part
@@ -225,7 +225,7 @@ class RayScene(Nearby):
                     break
                 rows, at, named = rows.take(named_rows), at.take(named_rows), named.take(named_rows)
                 a, w = a.take(named_rows, axis=0), w.take(named_rows, axis=0)
-            fractions, weights, hit, hair = self._faces.judged(named, a, w, at)
+            fractions, weights, hit, hair = self._faces.check_hits(named, a, w, at)
             if hit.all():
                 batches.append((rows, fractions, named, weights))
                 break
@@ -247,7 +247,7 @@ class RayScene(Nearby):
         near_rows = np.flatnonzero(near)
         return rows.take(near_rows), fractions.take(near_rows), named.take(near_rows), weights.take(near_rows, axis=0)
 
-    def _named(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
+    def _open3d_hits(self, rays: NDArray[np.float32], threads: int) -> tuple[NDArray[np.float32], Index]:
         """Return the approximate part of the length at which Open3D reports a face for prepared rays, and the face over all
         meshes (-1 = none)."""
         answer = self._scene.cast_rays(self._tensor(rays), nthreads=threads)
@@ -258,14 +258,14 @@ class RayScene(Nearby):
             face[nothing] = -1
         return t, face
 
-    def _counted(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    def _mesh_and_face(self, face: Index) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
         """Convert face numbers over all meshes to mesh numbers and face numbers within the mesh."""
         mesh = self._mesh_of_face.take(face)
         return mesh, (face - self._first_face.take(mesh)).astype(np.int32)
 
-    def _towards(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
+    def _facing_normals(self, face: Index, direction: NDArray[Any]) -> NDArray[np.float32]:
         """Return the normals of faces, turned against the direction of the rays that hit them."""
-        normal = self._faces.normal(face)
+        normal = self._faces.normals(face)
         along = (normal[:, 0] * direction[:, 0] + normal[:, 1] * direction[:, 1]) + normal[:, 2] * direction[:, 2]
         turned: NDArray[np.float32] = np.where(along[:, None] > 0, -normal, normal).astype(np.float32)
         return turned
@@ -300,7 +300,7 @@ class RayScene(Nearby):
             return nothing, nothing.copy(), np.array(points, np.float64).reshape(-1, 3), np.full(n, np.inf)
         local = np.asarray(points, np.float64) - self.origin
         endless = isinstance(within, float) and within == np.inf
-        grid = None if endless else self._triangles()
+        grid = None if endless else self._triangle_grid()
         if grid is None:
             place, distance, face = self._closest(local, threads, within)
         else:
@@ -310,11 +310,11 @@ class RayScene(Nearby):
             if rows.size:
                 most = np.broadcast_to(np.asarray(within), (n,))[rows]
                 place[rows], distance[rows], face[rows] = self._closest(local[rows], threads, most)
-        return *self._counted(face), place + self.origin, distance
+        return *self._mesh_and_face(face), place + self.origin, distance
 
     def _closest(self, local: Vectors, threads: int, within: NDArray[Any] | float) -> tuple[Vectors, Vectors, Index]:
         """Return position, distance and face nearest to points relative to the scene's origin, by Open3D."""
-        place, square, face = self._faces.nearest(local, self._nearest(local, threads))
+        place, square, face = self._faces.nearest(local, self._open3d_nearest(local, threads))
         # A little further away from it what is as near on another side is nearer: so it is known too, whichever was named.
         distance = np.sqrt(square)
         candidates = np.flatnonzero(distance <= within)
@@ -323,7 +323,7 @@ class RayScene(Nearby):
             away = (local - place[candidates]) * (_NUDGE_HAIRS * self._faces.hair / np.maximum(distance[candidates], 1e-30))[
                 :, None
             ]
-            other_places, other_squares, other = self._faces.nearest(local, self._nearest(local + away, threads))
+            other_places, other_squares, other = self._faces.nearest(local, self._open3d_nearest(local + away, threads))
             nearer = np.flatnonzero((other_squares < square) | ((other_squares == square) & (other < one)))
             rows = candidates[nearer]
             place[rows], face[rows], distance[rows] = other_places[nearer], other[nearer], np.sqrt(other_squares[nearer])
@@ -332,19 +332,19 @@ class RayScene(Nearby):
     def _bound_distances(self, points: Vectors) -> Vectors:
         """Return distances [n] to the nearest face, or to one as near within float32 error: for bounds."""
         local = points - self.origin
-        gap = nearest_on_triangle(local, self._faces.corners.take(self._nearest(local, 1), axis=0)) - local
+        gap = nearest_on_triangle(local, self._faces.corners.take(self._open3d_nearest(local, 1), axis=0)) - local
         return np.sqrt((gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2])
 
-    def _nearest(self, points: Vectors, threads: int) -> Index:
+    def _open3d_nearest(self, points: Vectors, threads: int) -> Index:
         """Return the face that Open3D reports as nearest to points relative to the scene's origin."""
         if self._exact is None:
-            self._exact = self._scene if self._brief else self._built(self._faces.corners.reshape(-1, 3).astype(np.float32))
+            self._exact = self._scene if self._brief else self._build_scene(self._faces.corners.reshape(-1, 3).astype(np.float32))
         near = np.fmin(np.fmax(points, -_FARTHEST), _FARTHEST).astype(np.float32)  # NaN is nowhere, and has a nearest face too
         answer = self._exact.compute_closest_points(self._tensor(near), nthreads=threads)
         face: Index = answer["primitive_ids"].numpy().astype(np.int64)
         return face
 
-    def depth(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
+    def depth_inside(self, points: Vectors, threads: int = 1) -> NDArray[np.float64]:
         """Return how far inside each point [n,3] is, in mm: the distance to the surface if at least two of three rays cross an
         odd number of faces, else 0. Meshes are assumed to be closed."""
         depths = np.zeros(len(points))

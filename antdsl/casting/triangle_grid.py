@@ -49,10 +49,10 @@ class TriangleGrid:
         corners = faces.corners
         low = corners.min(axis=(0, 1)) - width / 4
         size = np.floor((corners.max(axis=(0, 1)) + width / 4 - low) / width).astype(np.int64) + 1
-        work, count = partial(_lists, corners, low, size, width), len(corners) if lasting else 0
-        lists = stored_tables.stored("triangle grid", count, (corners, width), work)
+        work, count = partial(_list_cube_faces, corners, low, size, width), len(corners) if lasting else 0
+        lists = stored_tables.get_or_compute("triangle grid", count, (corners, width), work)
         first, listed = lists["first"], lists["listed"]
-        normals = faces.normal(np.arange(len(corners)))
+        normals = faces.normals(np.arange(len(corners)))
         off = 1e-6 * (float(np.abs(corners).max()) + (LONGEST + RINGS) * width)  # several times what float32 makes of it
         self._hair = faces.hair
         self.tables: Tables = (
@@ -60,8 +60,8 @@ class TriangleGrid:
             size,
             first,
             listed,
-            _bounds(corners, normals)[listed],
-            np.ascontiguousarray(_sound(corners, planes)),
+            _face_bounds(corners, normals)[listed],
+            np.ascontiguousarray(_drop_thin_planes(corners, planes)),
             np.ascontiguousarray(corners),
             normals,
         )
@@ -73,7 +73,7 @@ class TriangleGrid:
         """Return a grid if it is useful and not too large; None otherwise. Its size is computed before any allocation. `origin`:
         the world position of the faces' zero. `lasting`: whether another run may need the same faces."""
         tables = faces.tables()
-        width = None if tables is None else _width(faces.corners)
+        width = None if tables is None else _cube_width(faces.corners)
         if tables is None or width is None:
             return None
         grid = TriangleGrid(faces, tables[0], width, origin, lasting)
@@ -86,28 +86,28 @@ class TriangleGrid:
         `displacement` there. Hits within a `hair` of the start are ignored. The face is NOTHING if there is none, FURTHER for
         rays that are too long."""
         t, face = np.empty(len(origin)), np.empty(len(origin), np.int64)
-        work = partial(grid_rays.firsts, self.tables, origin, displacement, t, face)
+        work = partial(grid_rays.first_hits, self.tables, origin, displacement, t, face)
         parallel.in_parts(work, len(origin), threads, _RAYS)
         return t, face
 
-    def faced(
+    def trace_normals(
         self, origin: Floats, displacement: Floats, normals: Floats, named: Index, threads: int = 1
     ) -> tuple[tuple[Index, Floats, Floats], int]:
         """Return the rays from world positions for which `first` finds a face: numbers, ascending, the part of the length, and
         the normal (3, k). Normals come from `normals` (3, m), by the `named` number of each face. Also returns the number of rays
         that the grid cannot resolve."""
         which, results = np.empty(len(origin), np.int64), np.empty((4, len(origin)))
-        work = partial(grid_rays.faced, self.tables, origin, displacement, normals, named, which, results)
+        work = partial(grid_rays.trace_normals, self.tables, origin, displacement, normals, named, which, results)
         parts = parallel.in_parts(work, len(origin), threads, _RAYS)
-        which, results = parallel.joined(parts, which, results)
+        which, results = parallel.join_parts(parts, which, results)
         return (which, results[0], results[1:]), sum([left for _, _, left in parts])
 
-    def feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, int]:
+    def cast_feelers(self, place: Columns, direction: Columns, reach: Singles) -> tuple[Singles, int]:
         """Return the hits of feelers as long as `reach`, from positions along unit directions, float32 columns in the world. The
         result is float32[4,n]: distance (inf = no hit, NaN = the grid cannot answer) and unit normal towards the feeler's origin.
         Return also the number of feelers that it cannot answer."""
         results = np.empty((4, len(reach)), np.float32)
-        return results, grid_rays.feelers(self.tables, _plain(*place, *direction, reach), results)
+        return results, grid_rays.cast_feelers(self.tables, _contiguous(*place, *direction, reach), results)
 
     def feel_askers(
         self, positions: Arrays, asking: NDArray[np.bool_], directions: Arrays, results: Arrays, threads: int = 1
@@ -124,23 +124,23 @@ class TriangleGrid:
         """Return the signed distance (mm) to the faces and the unit direction out, float32[4,n]. It is negative behind the
         nearest face and NaN where the grid cannot tell. Also returns how many rows are NaN."""
         results = np.empty((4, len(place[0])), np.float32)
-        work = partial(nearest_faces.signed_distances, self.tables, _plain(*place), results)
+        work = partial(nearest_faces.signed_distances, self.tables, _contiguous(*place), results)
         return results, sum(parallel.in_parts(work, len(place[0]), threads, _RAYS))
 
     def nearest(self, points: Floats) -> tuple[Floats, Floats, Index]:
         """Return the position nearest to each point [n,3], its squared distance and its face; FURTHER if no face is near enough
         to tell."""
         place, square, face = np.empty((len(points), 3)), np.empty(len(points)), np.empty(len(points), np.int64)
-        nearest_faces.nearests(self.tables, points, place, square, face)
+        nearest_faces.nearest_points(self.tables, points, place, square, face)
         return place, square, face
 
 
-def _plain(*columns: Singles) -> tuple[Singles, ...]:
+def _contiguous(*columns: Singles) -> tuple[Singles, ...]:
     """The same in one piece."""
     return tuple([np.ascontiguousarray(each) for each in columns])
 
 
-def _lists(corners: Floats, low: Floats, size: Index, width: float) -> stored_tables.Tables:
+def _list_cube_faces(corners: Floats, low: Floats, size: Index, width: float) -> stored_tables.Tables:
     """Return the start of each cube's faces in a list, and that list of face numbers, for a grid of `size` cubes from its lowest
     corner."""
     count, keys = len(corners), [np.empty(0, np.int64)]
@@ -153,7 +153,7 @@ def _lists(corners: Floats, low: Floats, size: Index, width: float) -> stored_ta
     return {"first": first, "listed": listed.astype(np.int32)}
 
 
-def _width(corners: Floats) -> float | None:
+def _cube_width(corners: Floats) -> float | None:
     """Return the edge of cubes (mm): about that of the faces, larger if there would be too many cubes or too many faces per
     cube."""
     if not len(corners):
@@ -172,7 +172,7 @@ def _width(corners: Floats) -> float | None:
     return None
 
 
-def _bounds(corners: Floats, normals: Floats) -> Singles:
+def _face_bounds(corners: Floats, normals: Floats) -> Singles:
     """Return planes (unit normal and -distance from the origin) and bounding balls (centre, in the plane, and radius) of faces,
     float32[m,8]."""
     plane = np.concatenate([normals, -dot(normals, corners[:, 0])[:, None]], axis=1)
@@ -182,7 +182,7 @@ def _bounds(corners: Floats, normals: Floats) -> Singles:
     return np.concatenate([plane, middle, radius[:, None]], axis=1).astype(np.float32)
 
 
-def _sound(corners: Floats, planes: Floats) -> Floats:
+def _drop_thin_planes(corners: Floats, planes: Floats) -> Floats:
     """Return planes [m,3,4], set to zero for faces that are too thin to define one."""
     one, two = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
     size = dot(planes[:, 0, :3], planes[:, 0, :3])

@@ -39,7 +39,7 @@ from antdsl.cli import (  # noqa: E402
     sweep,
     test,
 )
-from antdsl.cli.exits import Exit, Stop, failure, limit_threads, machine_failure  # noqa: E402
+from antdsl.cli.exits import CommandError, ExitCode, as_machine_failure, failure_error, limit_threads  # noqa: E402
 from antdsl.cli.printing.messages import close_streams, guard_streams, print_result  # noqa: E402
 
 
@@ -163,10 +163,10 @@ def _deliver(code: int) -> int:
         loss = close_streams()
     except KeyboardInterrupt:  # the work is done, and nothing reads the rest
         return code
-    if loss is None or code not in (Exit.FINE, Exit.FINDINGS):
+    if loss is None or code not in (ExitCode.FINE, ExitCode.FINDINGS):
         return code
     print(f"error: cannot write to standard output: {(loss.strerror or str(loss)).lower()}", file=sys.stderr)
-    return Exit.INPUT_OUTPUT
+    return ExitCode.INPUT_OUTPUT
 
 
 def _run() -> int:
@@ -185,7 +185,9 @@ def _require_text(words: list[str]) -> None:
             from antdsl.diagnostics.model import printable
 
             display_name = printable(os.fsencode(word).decode(errors="backslashreplace"))
-            raise Stop(Exit.USAGE, f"error: the name `{display_name}` is not UTF-8", "rename the file or folder") from None
+            raise CommandError(
+                ExitCode.USAGE, f"error: the name `{display_name}` is not UTF-8", "rename the file or folder"
+            ) from None
 
 
 def _require_order(words: list[str]) -> None:
@@ -193,8 +195,10 @@ def _require_order(words: list[str]) -> None:
     own = words[: words.index("--")] if "--" in words else words
     if "--trust-usd" in own and not own[0].startswith("-"):
         rest = [word for word in words if word != "--trust-usd"]
-        raise Stop(
-            Exit.USAGE, "error: write `--trust-usd` before the command", f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}"
+        raise CommandError(
+            ExitCode.USAGE,
+            "error: write `--trust-usd` before the command",
+            f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}",
         )
 
 
@@ -205,28 +209,28 @@ def _command() -> int:
             _require_order(sys.argv[1:])
             app(standalone_mode=True, prog_name="antdsl")
         except SystemExit as leave:
-            return leave.code if isinstance(leave.code, int) else Exit.FINE
-        return Exit.FINE
-    except Stop as stop:
+            return leave.code if isinstance(leave.code, int) else ExitCode.FINE
+        return ExitCode.FINE
+    except CommandError as stop:
         for line in (stop.message, stop.hint):
             if line:
                 print(line, file=sys.stderr)
         return stop.code
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
-        return Exit.INTERRUPTED
+        return ExitCode.INTERRUPTED
     except Exception as problem:
-        if (cause := machine_failure(problem)) is not None:
-            end = failure(cause)
+        if (cause := as_machine_failure(problem)) is not None:
+            end = failure_error(cause)
             print(end.message, end.hint, sep="\n", file=sys.stderr)
             return end.code
         from antdsl.machine_code.machine import NoMachineCode
 
         if isinstance(problem, NoMachineCode):
             print(f"error: simulation needs machine code: {problem}", file=sys.stderr)
-            return Exit.INPUT_OUTPUT
+            return ExitCode.INPUT_OUTPUT
         import traceback
 
         traceback.print_exc()
         print("\nThis is a bug in antdsl, not in your files: please report it with the lines above.", file=sys.stderr)
-        return Exit.BUG
+        return ExitCode.BUG

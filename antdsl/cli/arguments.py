@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from antdsl.scene.values import FrameRange
 
 
-def pairs(words: Iterable[str], flag: str) -> dict[str, str]:
+def parse_pairs(words: Iterable[str], flag: str) -> dict[str, str]:
     """Return `NAME=VALUE` words as a mapping; raise a usage error for any other word."""
     mapping = {}
     for word in words:
@@ -30,15 +30,15 @@ def pairs(words: Iterable[str], flag: str) -> dict[str, str]:
 STDIN = Path("-")
 
 
-def standard_input() -> bytes:
+def read_standard_input() -> bytes:
     """Read a program from standard input, truncated at the size limit of files."""
     return sys.stdin.buffer.read(limits.ANT_FILE_BYTES + 1)
 
 
-def grants(words: Iterable[str]) -> dict[str, Path]:
+def parse_grants(words: Iterable[str]) -> dict[str, Path]:
     """Return `--root NAME=DIR` words as a mapping; the folders must exist."""
     folders = {}
-    for name, folder in pairs(words, "--root").items():
+    for name, folder in parse_pairs(words, "--root").items():
         path = Path(folder)
         if not re.fullmatch("[A-Za-z][A-Za-z0-9_]{1,31}", name):
             raise typer.BadParameter(f"`{name}` is not a name for a root (2 to 32 letters)", param_hint="--root")
@@ -61,20 +61,20 @@ def require_scene(path: Path, hint: str = "SCENE") -> None:
         raise typer.BadParameter(f"`{path}` is a folder; name a scene, such as `{display_path}`", param_hint=hint)
 
 
-def frame_range(text: str | None, flag: str = "--frames") -> FrameRange | None:
+def parse_frame_range(text: str | None, flag: str = "--frames") -> FrameRange | None:
     """`A..B` as a FrameRange, or None for None."""
     if text is None:
         return None
-    from antdsl.scene.quantities import BadQuantity
+    from antdsl.scene.quantities import QuantityError
     from antdsl.scene.values import parse_frames
 
     try:
         return parse_frames(text)
-    except BadQuantity as why:
+    except QuantityError as why:
         raise typer.BadParameter(f"`{text}` {why}: {why.help or 'write A..B'}", param_hint=flag) from None
 
 
-def number_set(text: str | None, flag: str) -> frozenset[int] | None:
+def parse_number_set(text: str | None, flag: str) -> frozenset[int] | None:
     """Return the integers of a list such as `3,8..12`; None for None."""
     if text is None:
         return None
@@ -91,7 +91,7 @@ def number_set(text: str | None, flag: str) -> frozenset[int] | None:
     return frozenset(numbers)
 
 
-def open_time(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:
+def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, float] | None:
     """Return the opening and closing time of a shutter from `A..B`, in frames relative to the frame. Both lie from -1 to 1, at
     most one frame apart. None for None."""
     if text is None:

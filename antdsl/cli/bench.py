@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, keeping_inputs, put, words_aside
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.destinations import protect_inputs, redirect_messages, require_writable_file, write_result
+from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
-    from antdsl.bench.costs import Job, Measured
+    from antdsl.bench.costs import Job, Measurement
     from antdsl.bench.tables import Result
 
 SLOWEST = "reference"  # left out unless it is named: it takes one agent at a time
@@ -37,30 +37,30 @@ def bench(
             sizes = ", ".join(f"{number:,}" for number in case.agents) or "as it is"
             print_result(f"{case.name:<18}{case.description}: {sizes}")
         return
-    file_to_write(json_, "--json")
-    with keeping_inputs({"--json": json_}) as inputs:
+    require_writable_file(json_, "--json")
+    with protect_inputs({"--json": json_}) as inputs:
         inputs += [Path(name) for name in cases or [] if name not in CASES]
-    names = _backends(backend)
-    from antdsl.cli.run import at_once
+    names = _choose_backends(backend)
+    from antdsl.cli.run import choose_threads
 
-    threads = at_once(threads)
-    jobs = _jobs(cases or [], agents)
+    threads = choose_threads(threads)
+    jobs = _choose_jobs(cases or [], agents)
     for name in dict.fromkeys(name for name, _ in jobs):
-        _openable(name)
-    with words_aside(json_) as output:
+        _require_openable(name)
+    with redirect_messages(json_) as output:
         results = []
         for name, count in jobs:
-            results.append(_measured(name, count, names, pairs, steps, threads, not steps_only))
+            results.append(_measure_case(name, count, names, pairs, steps, threads, not steps_only))
             _show(results[-1])
         if json_ is not None:
             import json
 
             from antdsl.bench.tables import as_json
 
-            put(json_, (json.dumps(as_json(results), indent=1) + "\n").encode(), output)
+            write_result(json_, (json.dumps(as_json(results), indent=1) + "\n").encode(), output)
 
 
-def _backends(names: list[str]) -> list[str]:
+def _choose_backends(names: list[str]) -> list[str]:
     """Return the requested backends, each once; without any, all but the slowest. Raises BadParameter for an unknown one."""
     from antdsl.runtime.backends import BACKENDS
 
@@ -70,7 +70,7 @@ def _backends(names: list[str]) -> list[str]:
     return list(dict.fromkeys(names)) or [name for name in BACKENDS if name != SLOWEST]
 
 
-def _jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
+def _choose_jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
     """Return cases with numbers of agents: the requested ones, else those of the case. Without cases, return those of a quick
     look."""
     from antdsl.bench import CASES
@@ -89,36 +89,38 @@ def _jobs(cases: list[str], agents: list[int]) -> list[tuple[str, int | None]]:
     return jobs
 
 
-def _openable(name: str) -> None:
+def _require_openable(name: str) -> None:
     """Report the errors of a scene before anything is measured."""
     from antdsl.bench import CASES
-    from antdsl.cli.printing.reports import demand
+    from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.pipeline import open_scene
 
     if name not in CASES:
-        demand(open_scene(Path(name))[1])
+        exit_on_errors(open_scene(Path(name))[1])
 
 
-def _measured(name: str, count: int | None, backends: list[str], turns: int, steps: int, threads: int, full_run: bool) -> Result:
+def _measure_case(
+    name: str, count: int | None, backends: list[str], turns: int, steps: int, threads: int, full_run: bool
+) -> Result:
     from antdsl.bench import CASES, Job
     from antdsl.bench.tables import Result
     from antdsl.machine_code import machine
     from antdsl.resources import benchmark_file
 
     case = CASES.get(name)
-    bound = case is not None and case.bound and benchmark_file("bound.py") is not None and machine.available()
+    bound = case is not None and case.bound and benchmark_file("bound.py") is not None and machine.is_available()
     alone = [_measure(Job(name, count, (each,), turns, steps, threads, bound, full_run)) for each in backends]
     together = _measure(Job(name, count, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
     return Result(tuple(alone), together)
 
 
-def _measure(job: Job) -> Measured:
-    from antdsl.bench.costs import Failed, measured
+def _measure(job: Job) -> Measurement:
+    from antdsl.bench.costs import MeasuringError, measure_in_process
 
     try:
-        return measured(job)
-    except Failed as why:
-        raise Stop(Exit.FINDINGS, f"error: {job.case}: {why}") from None
+        return measure_in_process(job)
+    except MeasuringError as why:
+        raise CommandError(ExitCode.FINDINGS, f"error: {job.case}: {why}") from None
 
 
 def _show(result: Result) -> None:

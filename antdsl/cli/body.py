@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import print_result, say
+from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.printing.messages import print_note, print_result
 
 if TYPE_CHECKING:
     from antdsl.bodies.agents.definition import Definition
@@ -44,14 +44,14 @@ def body(
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
     from antdsl.bodies.files.reading import read_definition
     from antdsl.bodies.library import library_body
-    from antdsl.cli.arguments import grants
+    from antdsl.cli.arguments import parse_grants
     from antdsl.cli.printing.body_tables import body_document, body_lines
-    from antdsl.cli.printing.reports import show, verdict
+    from antdsl.cli.printing.reports import report_exit_code, show
     from antdsl.diagnostics import Report
     from antdsl.scene.library_bodies import BODY_WORDS
     from antdsl.scene.paths import Roots
 
-    roots = Roots(file.resolve().parent, grants(root))
+    roots = Roots(file.resolve().parent, parse_grants(root))
     report = Report()
     definition: Definition | None
     if str(file) in BODY_WORDS and not file.is_file():
@@ -66,17 +66,19 @@ def body(
             for line in body_lines(definition):
                 print_result(line)
     if definition is not None and report.ok and to is not None:
-        _written(definition, file, to, layer, quiet)
+        _write_body(definition, file, to, layer, quiet)
     if not report.ok:
-        raise Stop(Exit.FINDINGS if as_json and verdict(report) is not Exit.INPUT_OUTPUT else verdict(report))
+        raise CommandError(
+            ExitCode.FINDINGS if as_json and report_exit_code(report) is not ExitCode.INPUT_OUTPUT else report_exit_code(report)
+        )
 
 
-def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:
+def _write_body(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:
     """Write a definition as another kind of file, and report what is left out."""
     from antdsl.bodies.files.definition_written import definition_files
     from antdsl.bodies.files.gltf_written import write_gltf
     from antdsl.bodies.posed_body import own_layer
-    from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
+    from antdsl.cli.destinations import protect_inputs, require_writable_file, require_writable_folder
     from antdsl.whole import make_folder, write_atomically
 
     kind = to.suffix.lower()
@@ -85,21 +87,21 @@ def _written(body: Definition, source: Path, to: Path, layer: str, quiet: bool) 
     if layer and layer not in body.layers:
         known = ", ".join(f"`{name}`" for name in body.layers) or "no layer"
         raise typer.BadParameter(f"the body has no layer `{layer}`: there is {known}", param_hint="--layer")
-    file_to_write(to, "--to")
+    require_writable_file(to, "--to")
     notes: list[str] = []
     if kind == ".json":
         files = definition_files(body, to.stem)
         parts = [path for path in files if path != to.name]
-        folder_to_write(to.parent / to.stem, "--to", *(path.partition("/")[2] for path in parts))
+        require_writable_folder(to.parent / to.stem, "--to", *(path.partition("/")[2] for path in parts))
     else:
         data, notes = write_gltf(body, body.layers[layer] if layer else own_layer(body), text=kind == ".gltf")
         files, parts = {to.name: data}, []
-    with keeping_inputs({"--to": to}, {"--to": (to.parent, [to.stem])} if parts else None) as inputs:
+    with protect_inputs({"--to": to}, {"--to": (to.parent, [to.stem])} if parts else None) as inputs:
         inputs.append(source)
     for path in (*parts, to.name):
         make_folder((to.parent / path).parent)
         write_atomically(to.parent / path, files[path])
     if not quiet:
-        say(f"{to}, and {len(parts)} files in {to.parent / to.stem}" if parts else f"{to}: {len(files[to.name]):,} bytes")
+        print_note(f"{to}, and {len(parts)} files in {to.parent / to.stem}" if parts else f"{to}: {len(files[to.name]):,} bytes")
         for note in notes:
-            say(f"note: {note}")
+            print_note(f"note: {note}")

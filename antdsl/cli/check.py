@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.arguments import STDIN, grants, standard_input
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.arguments import STDIN, parse_grants, read_standard_input
+from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def check(
 ) -> None:
     """Find mistakes in .ant files and scenes without running them."""
     if explain is not None:
-        _explain(explain)
+        _print_explanation(explain)
         return
     for is_requested, flag in ((params, "--params"), (cost, "--cost"), (imports, "--imports")):
         if is_requested and format not in (Format.full, Format.concise):
@@ -62,23 +62,23 @@ def check(
     if STDIN in (paths or []) and len(paths) > 1:
         raise typer.BadParameter("standard input is checked alone", param_hint="-")
     from antdsl.checking import check_all, check_text
-    from antdsl.cli.printing.reports import show, verdict
+    from antdsl.cli.printing.reports import report_exit_code, show
     from antdsl.diagnostics import Report
-    from antdsl.diagnostics.ignoring import judged, without_ignored
+    from antdsl.diagnostics.ignoring import apply_ignores, without_ignored
     from antdsl.files import find_files
     from antdsl.numerics.host import cores
     from antdsl.pipeline import Choices, open_scene
 
-    choices = Choices(grants(root))
+    choices = Choices(parse_grants(root))
     if paths == [STDIN]:
-        checked = check_text(standard_input(), choices, strict=strict, cpu_seconds=cpu_limit)
+        checked = check_text(read_standard_input(), choices, strict=strict, cpu_seconds=cpu_limit)
         files, report = list(checked.reports), Report()
     else:
         files, report = find_files(paths or [Path()])
         checked = check_all(files, choices, strict=strict, cores=cores(), programs=params or cost, cpu_seconds=cpu_limit)
     for file in files:
         report.extend(checked.reports[file])
-    report = judged(report, checked.sources, strict=strict)
+    report = apply_ignores(report, checked.sources, strict=strict)
     if strict:
         report = _strict(report)
     show(report, format.value)
@@ -88,7 +88,7 @@ def check(
         if codes:
             print_result(f"`antdsl check --explain {codes[0]}` says more{f'; so for {others}' if others else ''}\n")
     if params or cost:
-        from antdsl.cli.printing.check_tables import cost_table, params_table, without, work_table
+        from antdsl.cli.printing.check_tables import cost_table, explain_missing_table, params_table, work_table
 
         programs = [(file, checked.programs[file]) for file in files if file in checked.programs]
         sound = [(file, program) for file, program in programs if checked.reports[file].ok]
@@ -98,7 +98,7 @@ def check(
             print_result(line)
         for file in files if cost else ():
             if not checked.reports[file].ok:
-                print_result(without("costs", file, checked.reports[file]))
+                print_result(explain_missing_table("costs", file, checked.reports[file]))
         for file, _ in sound if cost else ():
             shot = open_scene(file, choices)[0] if file.suffix != ".ant" else None
             for line in work_table(file, shot) if shot is not None else ():
@@ -109,7 +109,7 @@ def check(
         for line in import_table(files, checked.reports, choices):
             print_result(line)
     if not report.ok:
-        raise Stop(verdict(report))
+        raise CommandError(report_exit_code(report))
     if format is Format.full:
         warnings = len(report.diagnostics)
         if not files and not warnings:
@@ -128,7 +128,7 @@ def _strict(report: Report) -> Report:
     return Report([replace(d, severity="error") for d in report.diagnostics])
 
 
-def _explain(word: str) -> None:
+def _print_explanation(word: str) -> None:
     """Print the page of a code, or what is known about a word of the language, of scenes or of the library."""
     import re
 
@@ -148,7 +148,7 @@ def _explain(word: str) -> None:
         return
     slip = [part for part in re.findall("[A-Za-z]+", word) if part not in UNIT_NAMES] if re.search("[/*^%]", word) else []
     if slip:
-        raise Stop(Exit.USAGE, f"error: no unit `{slip[0]}` as in `{word}`", unit_help(slip[0]))
+        raise CommandError(ExitCode.USAGE, f"error: no unit `{slip[0]}` as in `{word}`", unit_help(slip[0]))
     near = nearest_name(word, CODES) if "-" in word else nearest_name(word, {*words(), *CODES})
     usual = "codes stand in brackets after `error`; words are those of the language and the names of its behaviours"
-    raise Stop(Exit.USAGE, f"error: no code and no word `{word}`", f"did you mean `{near}`?" if near else usual)
+    raise CommandError(ExitCode.USAGE, f"error: no code and no word `{word}`", f"did you mean `{near}`?" if near else usual)

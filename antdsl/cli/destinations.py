@@ -13,14 +13,14 @@ from typing import TextIO
 
 import typer
 
-from antdsl.cli.exits import Exit, Stop
-from antdsl.whole import new_beside, write_atomically
+from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.whole import new_sibling, write_atomically
 
 
-def file_to_write(path: Path | None, flag: str) -> None:
+def require_writable_file(path: Path | None, flag: str) -> None:
     """Exit with a message about `flag` if no file can be written at a path; None is fine. The check leaves no file behind and
     does not change existing ones."""
-    if path is None or is_output(path) or _same(path, Path(os.devnull)):
+    if path is None or is_standard_output(path) or _is_same_file(path, Path(os.devnull)):
         return
     if path.is_dir():
         raise typer.BadParameter(f"`{path}` is a folder; name a file", param_hint=flag)
@@ -28,28 +28,28 @@ def file_to_write(path: Path | None, flag: str) -> None:
         raise typer.BadParameter(f"`{path}` is no regular file", param_hint=flag)
     if not path.absolute().parent.is_dir():
         raise typer.BadParameter(f"there is no folder `{path.parent}`", param_hint=flag)
-    _try(path, path, flag)
+    _try_writing(path, path, flag)
 
 
-def is_output(path: Path | None) -> bool:
+def is_standard_output(path: Path | None) -> bool:
     """Whether this means standard output."""
     return path is not None and str(path) in ("-", "/dev/stdout")
 
 
 @contextmanager
-def words_aside(*paths: Path | None) -> Iterator[TextIO]:
+def redirect_messages(*paths: Path | None) -> Iterator[TextIO]:
     """Redirect prints to standard error if one of these results goes to standard output. Yields the standard output, for
     `put`."""
     output = sys.stdout
-    with redirect_stdout(sys.stderr) if any(map(is_output, paths)) else nullcontext():
+    with redirect_stdout(sys.stderr) if any(map(is_standard_output, paths)) else nullcontext():
         yield output
 
 
-def put(path: Path | None, data: bytes, output: TextIO) -> None:
+def write_result(path: Path | None, data: bytes, output: TextIO) -> None:
     """Write a result to the requested place: a file (atomically), standard output, or nowhere."""
-    if path is None or _same(path, Path(os.devnull)):
+    if path is None or _is_same_file(path, Path(os.devnull)):
         return
-    if not is_output(path):
+    if not is_standard_output(path):
         write_atomically(path, data)
         return
     output.flush()
@@ -57,7 +57,7 @@ def put(path: Path | None, data: bytes, output: TextIO) -> None:
     output.buffer.flush()
 
 
-def default_place(base: Path, *names: str, flag: str = "--out") -> Path:
+def default_path(base: Path, *names: str, flag: str = "--out") -> Path:
     """Return the default output path below `base`, where the user names none with `flag`. Exit if one of `names` is a link: it
     could lead anywhere, and only the user may choose that."""
     from antdsl.whole import first_link
@@ -65,80 +65,88 @@ def default_place(base: Path, *names: str, flag: str = "--out") -> Path:
     link = first_link(base, *names)
     if link is not None:
         words = f"error: `{link}` is a link, and results follow no link that you did not name"
-        raise Stop(Exit.INPUT_OUTPUT, words, f"name the place that it leads to, or another one, with `{flag}`")
+        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"name the place that it leads to, or another one, with `{flag}`")
     return base.joinpath(*names)
 
 
-def folder_to_write(path: Path | None, flag: str, *names: str) -> None:
+def require_writable_folder(path: Path | None, flag: str, *names: str) -> None:
     """Make the same check for files of some names in a folder that is created if missing."""
     if path is None:
         return
     existing_parent = next(each for each in (path.absolute(), *path.absolute().parents) if os.path.lexists(each))
     if not existing_parent.is_dir():
-        raise Stop(
-            Exit.INPUT_OUTPUT,
+        raise CommandError(
+            ExitCode.INPUT_OUTPUT,
             f"error: `{existing_parent}` is a file, but a folder is needed there",
             f"name another with `{flag}`",
         )
     for name in names:
         if (path / name).is_dir():
             words = f"error: `{path / name}` is a folder, and a file is to be put there"
-            raise Stop(Exit.INPUT_OUTPUT, words, f"name another folder with `{flag}`")
-    _try(existing_parent / "antdsl", path, flag)
+            raise CommandError(ExitCode.INPUT_OUTPUT, words, f"name another folder with `{flag}`")
+    _try_writing(existing_parent / "antdsl", path, flag)
 
 
 @contextmanager
-def keeping_inputs(
+def protect_inputs(
     files: Mapping[str, Path | None], folders: Mapping[str, tuple[Path | None, Iterable[str]]] | None = None
 ) -> Iterator[list[Path]]:
     """Exit if a result, by its flag, would overwrite another result or an input. Inputs are files that are read meanwhile, files
     in the yielded list, and files that come with antdsl. `folders`: output folders with the names that are written there."""
     from antdsl.resources import behaviours_folder
-    from antdsl.scene.paths import sought
+    from antdsl.scene.paths import record_sought
 
     named: list[Path] = []
-    with sought() as sought_files:
+    with record_sought() as sought_files:
         yield named
     inputs = [*named, *sought_files, *behaviours_folder().glob("*.ant")]
-    results = {flag: path for flag, path in files.items() if path is not None and not _same(path, Path(os.devnull))}
+    results = {flag: path for flag, path in files.items() if path is not None and not _is_same_file(path, Path(os.devnull))}
     for flag, path in results.items():
-        if not is_output(path) and any(_same(path, each) for each in inputs):
+        if not is_standard_output(path) and any(_is_same_file(path, each) for each in inputs):
             raise typer.BadParameter(f"`{path}` is read here, and would be lost; name another file", param_hint=flag)
-        others = [other for other in results if other != flag and _one_place(path, results[other])]
+        others = [other for other in results if other != flag and _is_same_destination(path, results[other])]
         if others:
             raise typer.BadParameter(f"`{path}` is named by `{others[0]}` too; name another file", param_hint=flag)
     for flag, (folder, names) in (folders or {}).items():
         result_names = set(names)
-        lost = [] if folder is None else [each for each in inputs if each.exists() and _top(each, folder) in result_names]
+        lost = (
+            []
+            if folder is None
+            else [each for each in inputs if each.exists() and _first_name_below(each, folder) in result_names]
+        )
         if lost:
             words = f"error: `{lost[0]}` is read here, and would be lost"
-            raise Stop(Exit.USAGE, words, f"name another folder with `{flag}`")
+            raise CommandError(ExitCode.USAGE, words, f"name another folder with `{flag}`")
         for other, path in results.items():
-            if folder is not None and _top(path, folder) in result_names:
+            if folder is not None and _first_name_below(path, folder) in result_names:
                 raise typer.BadParameter(f"`{path}` has a name of what `{flag}` puts there; name another file", param_hint=other)
 
 
-def _same(one: Path, other: Path) -> bool:
+def _is_same_file(one: Path, other: Path) -> bool:
     try:
         return os.path.samefile(one, other)
     except (OSError, ValueError):
         return False
 
 
-def _one_place(one: Path, other: Path) -> bool:
-    return (is_output(one) and is_output(other)) or _same(one, other) or os.path.realpath(one) == os.path.realpath(other)
+def _is_same_destination(one: Path, other: Path) -> bool:
+    return (
+        (is_standard_output(one) and is_standard_output(other))
+        or _is_same_file(one, other)
+        or os.path.realpath(one) == os.path.realpath(other)
+    )
 
 
-def _top(path: Path, folder: Path) -> str | None:
+def _first_name_below(path: Path, folder: Path) -> str | None:
     """Return the first path component below a folder on the way to a path; None if the path is not below it."""
     real_path, start = Path(os.path.realpath(path)), os.path.realpath(folder)
     return real_path.relative_to(start).parts[0] if real_path != Path(start) and real_path.is_relative_to(start) else None
 
 
-def _try(beside: Path, path: Path, flag: str) -> None:
+def _try_writing(beside: Path, path: Path, flag: str) -> None:
     try:
-        new_beside(beside).unlink()
+        new_sibling(beside).unlink()
     except OSError as why:
         words = f"error: cannot write `{path}`: {(why.strerror or str(why)).lower()}"
         advice = "make room, or " if why.errno in (errno.ENOSPC, errno.EDQUOT) else ""
-        raise Stop(Exit.INPUT_OUTPUT, words, f"{advice}name another place with `{flag}`") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"{advice}name another place with `{flag}`") from None

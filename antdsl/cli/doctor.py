@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_result
 
 PACKAGES = ("numpy", "scipy", "lark", "pydantic", "yaml", "typer", "rich", "trimesh", "PIL", "skimage", "open3d")
@@ -23,45 +23,45 @@ EXTRAS = {
 def doctor() -> None:
     """Look whether everything that antdsl needs is here."""
     problems: list[str] = []
-    _python(problems)
-    _system_libraries(problems)
+    _check_python(problems)
+    _check_system_libraries(problems)
     for package in PACKAGES:
-        _package(package, problems)
+        _check_package(package, problems)
     for package, purpose in EXTRAS.items():
-        _optional(package, purpose)
-    _machine_code(problems)
-    _tables()
-    _sandbox(problems)
-    _files(problems)
+        _check_optional(package, purpose)
+    _check_machine_code(problems)
+    _check_tables()
+    _check_sandbox(problems)
+    _check_files(problems)
     if problems:
-        raise Stop(Exit.INPUT_OUTPUT, "\n" + "\n".join(f"to do: {problem}" for problem in problems))
+        raise CommandError(ExitCode.INPUT_OUTPUT, "\n" + "\n".join(f"to do: {problem}" for problem in problems))
     print_result("\nall is well")
 
 
-def _tell(name: str, good: bool, words: str) -> None:
+def _print_check(name: str, good: bool, words: str) -> None:
     print_result(f"{'ok     ' if good else 'MISSING'} {name:<16} {words}".rstrip())
 
 
-def _python(problems: list[str]) -> None:
+def _check_python(problems: list[str]) -> None:
     import platform
     import sys
 
     good = sys.version_info >= (3, 11)
-    _tell("python", good, f"{platform.python_version()} on {platform.system()} {platform.machine()}")
+    _print_check("python", good, f"{platform.python_version()} on {platform.system()} {platform.machine()}")
     if not good:
         problems.append("install Python 3.11 or newer")
 
 
-def _system_libraries(problems: list[str]) -> None:
+def _check_system_libraries(problems: list[str]) -> None:
     from antdsl.bootstrap import SYSTEM_LIBRARIES, missing_packages
 
     missing = missing_packages(SYSTEM_LIBRARIES)
-    _tell("system libraries", not missing, ", ".join(missing) if missing else "libegl1 libgl1 libusb-1.0-0 or their like")
+    _print_check("system libraries", not missing, ", ".join(missing) if missing else "libegl1 libgl1 libusb-1.0-0 or their like")
     if missing:
         problems.append(f"as root: apt-get install -y {' '.join(missing)}")
 
 
-def _package(package: str, problems: list[str]) -> None:
+def _check_package(package: str, problems: list[str]) -> None:
     from importlib import import_module
 
     from antdsl.casting.open3d_module import open3d
@@ -73,14 +73,14 @@ def _package(package: str, problems: list[str]) -> None:
         else:
             import_module(package)
     except Exception as problem:  # a broken binary package can raise anything
-        _tell(display_name, False, f"{type(problem).__name__}: {problem}"[:160])
+        _print_check(display_name, False, f"{type(problem).__name__}: {problem}"[:160])
         problems.append(
             f"pip install {display_name}"
             if package != "open3d"
             else "pip install open3d-cpu (Linux x86-64) or open3d, after the system libraries"
         )
         return
-    _tell(display_name, True, _version(display_name))
+    _print_check(display_name, True, _version(display_name))
 
 
 def _version(name: str) -> str:
@@ -94,42 +94,42 @@ def _version(name: str) -> str:
     return ""
 
 
-def _optional(package: str, purpose: str) -> None:
+def _check_optional(package: str, purpose: str) -> None:
     from importlib.util import find_spec
 
     words = "installed" if find_spec(package) is not None else f"not installed; needed for {purpose}"
     print_result(f"{'ok     ' if words == 'installed' else '-      '} {package:<16} {words}")
 
 
-def _machine_code(problems: list[str]) -> None:
+def _check_machine_code(problems: list[str]) -> None:
     from antdsl.machine_code import machine
     from antdsl.machine_code.object_cache import ObjectCache
 
     why = machine.unavailable()
-    _tell("machine code", not why, why or f"for {machine.host().cpu}")
+    _print_check("machine code", not why, why or f"for {machine.host().cpu}")
     if why:
         problems.append(why)
         return
-    _kernels()
+    _check_kernels()
     stored = ObjectCache()
     stored.prepare()
     for sentence in stored.messages:
         print_result(f"-       {'folder of code':<16} {sentence}")
 
 
-def _kernels() -> None:
+def _check_kernels() -> None:
     """Print whether the installation has compiled kernels for this processor, this LLVM version and these sources."""
     from antdsl.machine_code import machine, shipped
     from antdsl.numerics.elementary_loops import cosines
 
     host = machine.host()
-    if shipped.find(cosines.named(host), host) is None:
+    if shipped.find_object(cosines.text_key(host), host) is None:
         print_result(f"-       {'kernels':<16} compiled when they are first used, which takes some seconds once")
     else:
         print_result(f"ok      {'kernels':<16} compiled in advance for {shipped.target_name(host)}")
 
 
-def _tables() -> None:
+def _check_tables() -> None:
     """Print whether tables of meshes are stored for other runs, and if not, why."""
     from antdsl.numerics import stored_tables
 
@@ -139,14 +139,14 @@ def _tables() -> None:
         print_result(f"-       {'folder of tables':<16} {sentence}")
 
 
-def _sandbox(problems: list[str]) -> None:
+def _check_sandbox(problems: list[str]) -> None:
     """Print the layers that confine the process that reads foreign formats."""
     from antdsl.reader.client import ReaderFailure, active_layers
 
     try:
         active = active_layers()
     except ReaderFailure as why:
-        _tell("reader", False, str(why))
+        _print_check("reader", False, str(why))
         problems.append("allow this user to start processes and to write below the folder for temporary files")
         return
     landlock = f"Landlock {active['landlock']}" if active["landlock"] else "no Landlock"
@@ -155,10 +155,10 @@ def _sandbox(problems: list[str]) -> None:
     print_result(f"{'ok     ' if active['landlock'] and not weak else '-      '} {'reader':<16} {', '.join(layers)}{weak}")
 
 
-def _files(problems: list[str]) -> None:
+def _check_files(problems: list[str]) -> None:
     from antdsl.resources import grammar_file, library_names
 
     good = grammar_file("tables.json").is_file() and "steering" in library_names()
-    _tell("antdsl's files", good, "grammar, library of behaviours" if good else "grammar or behaviours not found")
+    _print_check("antdsl's files", good, "grammar, library of behaviours" if good else "grammar or behaviours not found")
     if not good:
         problems.append("install antdsl again")

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import typer
 
-from antdsl.cli.destinations import default_place, folder_to_write, keeping_inputs
-from antdsl.cli.exits import Exit, Stop, report_failures
-from antdsl.cli.printing.messages import say
+from antdsl.cli.destinations import default_path, protect_inputs, require_writable_folder
+from antdsl.cli.exits import CommandError, ExitCode, report_failures
+from antdsl.cli.printing.messages import print_note
 
 
 @report_failures("the edit stopped")
@@ -25,38 +25,42 @@ def edit(
 ) -> None:
     """Write a copy of a cache with its orientations smoothed over time."""
     from antdsl.outputs.cache.cache_reader import NAMES, CacheError, open_cache
-    from antdsl.outputs.cache.cache_writer import ForeignFolder, InTheWay
-    from antdsl.outputs.cache.lock import Locked
+    from antdsl.outputs.cache.cache_writer import ForeignFolder, PathBlocked
+    from antdsl.outputs.cache.lock import FolderLocked
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.editing import NotEditable, smooth_orientations
     from antdsl.outputs.provenance import resume_command
 
-    width = _width(smooth)
-    folder = out if out is not None else default_place(cache.parent, f"{cache.resolve().name}_edited")
-    folder_to_write(folder, "--out")
+    width = _parse_width(smooth)
+    folder = out if out is not None else default_path(cache.parent, f"{cache.resolve().name}_edited")
+    require_writable_folder(folder, "--out")
     try:
-        with keeping_inputs({}, {"--out": (folder, NAMES)}) as inputs:
+        with protect_inputs({}, {"--out": (folder, NAMES)}) as inputs:
             read = open_cache(cache)
-            inputs += [*read.made_from(), *(cache / name for name in NAMES)]
+            inputs += [*read.source_files(), *(cache / name for name in NAMES)]
         count = sum(1 for _ in smooth_orientations(read, folder, width, force=force))
     except ManifestError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", f"this makes damaged frames again: {resume_command(cache)}") from None
+        raise CommandError(
+            ExitCode.INPUT_OUTPUT, f"error: {why}", f"this makes damaged frames again: {resume_command(cache)}"
+        ) from None
     except NotEditable as why:
-        raise Stop(Exit.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again") from None
+        raise CommandError(
+            ExitCode.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again"
+        ) from None
     except ForeignFolder as why:
         words = "name another folder with `--out`, or write into it anyway with `--force`"
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", words) from None
-    except InTheWay as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
-    except Locked as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", words) from None
+    except PathBlocked as why:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
+    except FolderLocked as why:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
     if not quiet:
-        say(f"{count} frames, orientations smoothed over {width}, are in {folder}")
+        print_note(f"{count} frames, orientations smoothed over {width}, are in {folder}")
 
 
-def _width(text: str) -> int:
+def _parse_width(text: str) -> int:
     """Over how many frames `orient:9` smooths."""
     from antdsl.outputs.editing import LEAST, MOST
 

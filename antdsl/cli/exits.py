@@ -24,7 +24,7 @@ _FIRST = {
 }
 
 
-class Exit(IntEnum):
+class ExitCode(IntEnum):
     FINE = 0
     FINDINGS = 1
     USAGE = 2
@@ -34,10 +34,10 @@ class Exit(IntEnum):
     INTERRUPTED = 130  # what shells expect after Ctrl-C
 
 
-class Stop(Exception):
+class CommandError(Exception):
     """Ends the command: `message` goes to standard error, then `hint` if there is one."""
 
-    def __init__(self, code: Exit, message: str = "", hint: str = "") -> None:
+    def __init__(self, code: ExitCode, message: str = "", hint: str = "") -> None:
         super().__init__(message)
         self.code, self.message, self.hint = code, message, hint
 
@@ -62,21 +62,21 @@ def is_out_of_memory(problem: BaseException | None) -> bool:
     while problem is not None and id(problem) not in visited:
         visited.add(id(problem))
         words = str(problem).lower()
-        if isinstance(problem, MemoryError) or (isinstance(problem, OSError) and _has_no_process(problem)):
+        if isinstance(problem, MemoryError) or (isinstance(problem, OSError) and _cannot_start_process(problem)):
             return True
-        if isinstance(problem, RuntimeError | ImportError | OSError | SystemError) and _has(words, _MEMORY_WORDS):
+        if isinstance(problem, RuntimeError | ImportError | OSError | SystemError) and _mentions(words, _MEMORY_WORDS):
             return True
-        if isinstance(problem, RuntimeError) and _has(words, _THREAD_WORDS):
+        if isinstance(problem, RuntimeError) and _mentions(words, _THREAD_WORDS):
             return True
         problem = problem.__cause__ or (None if problem.__suppress_context__ else problem.__context__)
     return False
 
 
-def _has(words: str, parts: tuple[str, ...]) -> bool:
+def _mentions(words: str, parts: tuple[str, ...]) -> bool:
     return any(part in words for part in parts)
 
 
-def _has_no_process(problem: OSError) -> bool:
+def _cannot_start_process(problem: OSError) -> bool:
     """Return whether the system refused memory, or refused a process for lack of it."""
     if problem.errno != EAGAIN:
         return problem.errno == ENOMEM
@@ -92,32 +92,34 @@ def report_failures(what: str, again: str = AGAIN) -> Iterator[None]:
     continue."""
     try:
         yield
-    except (BrokenPipeError, Stop):  # the reader of standard output is gone: that is not the disk
+    except (BrokenPipeError, CommandError):  # the reader of standard output is gone: that is not the disk
         raise
     except Exception as problem:
-        cause = machine_failure(problem)
+        cause = as_machine_failure(problem)
         if cause is None:
             raise
-        raise failure(cause, what, again) from None
+        raise failure_error(cause, what, again) from None
 
 
-def machine_failure(problem: Exception) -> OSError | MemoryError | None:
+def as_machine_failure(problem: Exception) -> OSError | MemoryError | None:
     """Return the error as one of the disk or of memory, whichever library raised it; None if it is neither."""
     if is_out_of_memory(problem):
         return MemoryError()
     return problem if isinstance(problem, OSError) else None
 
 
-def failure(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) -> Stop:
+def failure_error(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) -> CommandError:
     """Return the exception that ends a command after a failure of the disk or of memory."""
     if isinstance(problem, MemoryError):
         words = "error: out of memory; fewer agents, larger cells or a lighter mesh need less"
-        return Stop(Exit.INPUT_OUTPUT, words, f"once there is more, {again}")
+        return CommandError(ExitCode.INPUT_OUTPUT, words, f"once there is more, {again}")
     if problem.errno == errno.ENOENT and not problem.filename and not _has_working_directory():
-        return Stop(Exit.INPUT_OUTPUT, "error: the working directory was removed", f"change to another folder, then {again}")
+        return CommandError(
+            ExitCode.INPUT_OUTPUT, "error: the working directory was removed", f"change to another folder, then {again}"
+        )
     place = f": `{problem.filename}`" if problem.filename else ""
     words = f"error: {what}{': ' if what else ''}{(problem.strerror or str(problem)).lower()}{place}"
-    return Stop(Exit.INPUT_OUTPUT, words, f"{advice(problem)} {again}")
+    return CommandError(ExitCode.INPUT_OUTPUT, words, f"{recovery_advice(problem)} {again}")
 
 
 def limit_threads() -> None:
@@ -132,7 +134,7 @@ def limit_threads() -> None:
     if most < limits.COMMAND_MEMORY:
         needed, have = (f"{size / limits.MIB:,.0f} MiB" for size in (limits.COMMAND_MEMORY, most))
         words = f"error: out of memory: this process may have {have} of address space, and needs {needed}"
-        raise Stop(Exit.INPUT_OUTPUT, words, f"allow more (`ulimit -v`), then {AGAIN}")
+        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"allow more (`ulimit -v`), then {AGAIN}")
 
 
 def _has_working_directory() -> bool:
@@ -143,6 +145,6 @@ def _has_working_directory() -> bool:
     return True
 
 
-def advice(problem: OSError) -> str:
+def recovery_advice(problem: OSError) -> str:
     """Return what to do before a command continues: the start of a sentence."""
     return _FIRST.get(problem.errno or 0, "once that is mended,")

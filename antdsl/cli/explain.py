@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_result
 
 
@@ -20,8 +20,8 @@ def explain(
     json: bool = typer.Option(False, "--json", help="Print it as JSON."),
 ) -> None:
     """Say why an agent did what it did in a frame: each change looked at, each layer's push, what it sensed and drew."""
-    from antdsl.cli.arguments import grants
-    from antdsl.cli.printing.reports import demand, show
+    from antdsl.cli.arguments import parse_grants
+    from antdsl.cli.printing.reports import exit_on_errors, show
     from antdsl.explain import ExplainError, as_json, tell
     from antdsl.explain import explain as explained
     from antdsl.numerics.host import cores
@@ -32,19 +32,21 @@ def explain(
 
     try:
         explanation = explained(
-            open_cache(cache), agent, frame, species=species, scene=scene, grants=grants(root), threads=cores()
+            open_cache(cache), agent, frame, species=species, scene=scene, grants=parse_grants(root), threads=cores()
         )  # fmt: skip
     except ManifestError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", f"this makes it again: {resume_command(cache)}") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", f"this makes it again: {resume_command(cache)}") from None
     except BindError as why:
-        demand(why.report)
-        raise Stop(Exit.FINDINGS) from None
+        exit_on_errors(why.report)
+        raise CommandError(ExitCode.FINDINGS) from None
     except ExplainError as why:
         if why.report is not None:
             show(why.report, to_stderr=True)
-        raise Stop(Exit.USAGE if why.usage else Exit.FINDINGS, f"error: {why}", f"help: {why.help}" if why.help else "") from None
+        raise CommandError(
+            ExitCode.USAGE if why.usage else ExitCode.FINDINGS, f"error: {why}", f"help: {why.help}" if why.help else ""
+        ) from None
     if json:
         from json import dumps
 

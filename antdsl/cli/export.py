@@ -8,17 +8,17 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs
-from antdsl.cli.exits import Exit, Stop, report_failures
-from antdsl.cli.printing.messages import say
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, answers, demand_scheduler
+from antdsl.cli.destinations import protect_inputs, require_writable_file, require_writable_folder
+from antdsl.cli.exits import CommandError, ExitCode, report_failures
+from antdsl.cli.printing.messages import print_note
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, require_scheduler, run_cache_tasks
 from antdsl.whole import make_folder, sync_files
 
 if TYPE_CHECKING:
     from antdsl.outputs.cache.cache_reader import Cache
 
 
-def _no_form(to: Path) -> str:
+def _explain_no_export(to: Path) -> str:
     """Return why a file's suffix has no export, and which to use instead."""
     from antdsl.outputs.exports import EXPORTS, INSTEAD
 
@@ -29,7 +29,7 @@ def _no_form(to: Path) -> str:
     return f"`{to.name}` is none of {', '.join(ending for each in EXPORTS for ending in each.endings)}"
 
 
-def _unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset[int]) -> str | None:
+def _describe_unknown_ids(cache: Cache, frames: Sequence[int], chosen: frozenset[int]) -> str | None:
     """A note about chosen agents that are in none of the frames; None where all are there."""
     missing = set(chosen)
     for frame in frames:
@@ -100,20 +100,20 @@ def export(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
     """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
-    from antdsl.cli.arguments import frame_range, number_set, open_time
+    from antdsl.cli.arguments import parse_frame_range, parse_number_set, parse_shutter
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.exports import EXPORTS, SomeAgents, export_for
+    from antdsl.outputs.exports import EXPORTS, AgentSubset, export_for
     from antdsl.outputs.gallery import Gallery, NoPicture
     from antdsl.outputs.numbered_files import NoExport
     from antdsl.outputs.provenance import resume_command
     from antdsl.scene.geometry.usd import UsdError
-    from antdsl.shots.exports import tasks
+    from antdsl.shots.exports import export_tasks
 
-    demand_scheduler(scheduler, tls, no_tls)
+    require_scheduler(scheduler, tls, no_tls)
     export = export_for(to)
     if export is None:
-        raise typer.BadParameter(_no_form(to), param_hint="--to")
+        raise typer.BadParameter(_explain_no_export(to), param_hint="--to")
     word = form if form is not None else next(iter(export.forms))
     if word not in export.forms:
         raise typer.BadParameter(
@@ -125,18 +125,18 @@ def export(
     if word not in export.each and "####" in to.name:
         words = f"`{to.name}` as `{word}` is one file of all frames: leave out `####`"
         raise typer.BadParameter(words, param_hint="--to")
-    between, chosen = frame_range(frames), number_set(ids, "--ids")
+    between, chosen = parse_frame_range(frames), parse_number_set(ids, "--ids")
     all_options = {
         "skeletons": skeletons,
-        "shutter": open_time(shutter),
+        "shutter": parse_shutter(shutter),
         "samples": samples,
         "chunk": chunk,
         "copies": copies,
         "close": close,
     }
     set_options = {name: value for name, value in all_options.items() if value is not None}
-    for name in sorted(set_options.keys() - export.takes(word)):
-        forms = [f"`{each.endings[0]}` as `{w}`" for each in EXPORTS for w in each.forms if name in each.takes(w)]
+    for name in sorted(set_options.keys() - export.option_names(word)):
+        forms = [f"`{each.endings[0]}` as `{w}`" for each in EXPORTS for w in each.forms if name in each.option_names(w)]
         raise typer.BadParameter(f"`{to.name}` as `{word}` does not take this; {', '.join(forms)} does", param_hint=f"--{name}")
     if "samples" in set_options and "shutter" not in set_options:
         raise typer.BadParameter("say when they are: `--shutter -0.25..0.25`", param_hint="--samples")
@@ -148,47 +148,56 @@ def export(
         )
     options = (export.options[word](**set_options),) if word in export.options else ()
     if word in export.each or not to.absolute().parent.is_dir():
-        folder_to_write(to.parent, "--to")
+        require_writable_folder(to.parent, "--to")
     else:
-        file_to_write(to, "--to")
+        require_writable_file(to, "--to")
     try:
         opened_cache = open_cache(cache)
         cache_frames = [f for f in opened_cache.frames() if between is None or between.first <= f <= between.last]
         if not cache_frames:
-            raise Stop(Exit.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has")
+            raise CommandError(
+                ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has"
+            )
         paths = export.paths(word, to, cache_frames)
         if word in export.each:
-            folder_to_write(to.parent, "--to", *(path.name for path in paths))
-            with keeping_inputs({}, {"--to": (to.parent, [path.name for path in paths])}) as inputs:
-                inputs += opened_cache.made_from()
+            require_writable_folder(to.parent, "--to", *(path.name for path in paths))
+            with protect_inputs({}, {"--to": (to.parent, [path.name for path in paths])}) as inputs:
+                inputs += opened_cache.source_files()
         else:
-            with keeping_inputs({"--to": to}) as inputs:
-                inputs += opened_cache.made_from()
-        gallery = Gallery(opened_cache if chosen is None else SomeAgents(opened_cache.folder, opened_cache.manifest, chosen))
+            with protect_inputs({"--to": to}) as inputs:
+                inputs += opened_cache.source_files()
+        gallery = Gallery(opened_cache if chosen is None else AgentSubset(opened_cache.folder, opened_cache.manifest, chosen))
         make_folder(to.parent)
         notes: Sequence[str] | None
         if scheduler:
             where = scheduler, tls, no_tls
-            task_answers = answers(
-                where, cache, to.parent, lambda real_cache, place: tasks(real_cache, to.name, word, chosen, cache_frames, place)
+            task_answers = run_cache_tasks(
+                where,
+                cache,
+                to.parent,
+                lambda real_cache, place: export_tasks(real_cache, to.name, word, chosen, cache_frames, place),
             )
             notes = tuple(dict.fromkeys(note for answered in task_answers for note in answered.notes))
         else:
             notes = export.forms[word](gallery, cache_frames, to, *options)
         if word in export.each:
             sync_files(paths)
-        unknown = None if chosen is None else _unknown_ids(opened_cache, cache_frames, chosen)
+        unknown = None if chosen is None else _describe_unknown_ids(opened_cache, cache_frames, chosen)
         notes = [*(notes or ()), *([] if unknown is None else [unknown])]
     except ManifestError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", f"this makes damaged frames again: {resume_command(cache)}") from None
+        raise CommandError(
+            ExitCode.INPUT_OUTPUT, f"error: {why}", f"this makes damaged frames again: {resume_command(cache)}"
+        ) from None
     except NoPicture as why:
-        raise Stop(Exit.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again") from None
+        raise CommandError(
+            ExitCode.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again"
+        ) from None
     except (UsdError, NoExport) as why:
-        raise Stop(Exit.FINDINGS, f"error: {why}", why.help or "") from None
+        raise CommandError(ExitCode.FINDINGS, f"error: {why}", why.help or "") from None
     if not quiet:
         files = f"{paths[0]} .. {paths[-1].name}" if len(paths) > 1 else str(paths[0])
-        say(f"{files}: frames {cache_frames[0]}..{cache_frames[-1]}, {len(gallery.manifest.species)} species")
+        print_note(f"{files}: frames {cache_frames[0]}..{cache_frames[-1]}, {len(gallery.manifest.species)} species")
         for note in notes or ():
-            say(f"note: {note}")
+            print_note(f"note: {note}")

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.arguments import STDIN, standard_input
-from antdsl.cli.exits import AGAIN, Exit, Stop, advice
-from antdsl.cli.printing.messages import print_result, say
+from antdsl.cli.arguments import STDIN, read_standard_input
+from antdsl.cli.exits import AGAIN, CommandError, ExitCode, recovery_advice
+from antdsl.cli.printing.messages import print_note, print_result
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
@@ -30,33 +30,33 @@ def fmt(
         raise typer.BadParameter("name a file or a folder, or - for standard input", param_hint="PATH")
     if STDIN in paths and len(paths) > 1:
         raise typer.BadParameter("standard input goes alone", param_hint="-")
-    from antdsl.cli.printing.reports import demand
+    from antdsl.cli.printing.reports import exit_on_errors
 
-    work = _Work(check, diff)
+    work = _Formatting(check, diff)
     if STDIN in paths:
-        work.standard_input()
+        work.format_standard_input()
     else:
         work.files(paths)
-    demand(work.report)
+    exit_on_errors(work.report)
     if (check or diff) and work.changed:
-        raise Stop(Exit.FINDINGS)
+        raise CommandError(ExitCode.FINDINGS)
 
 
-def _empty() -> Report:
+def _empty_report() -> Report:
     from antdsl.diagnostics import Report
 
     return Report()
 
 
 @dataclass
-class _Work:
+class _Formatting:
     """The results so far. `report` holds the errors of files that were left unchanged; their warnings are for `check`."""
 
     check: bool
     diff: bool
     changed: list[str] = field(default_factory=list)
     left: int = 0  # files with mistakes, or that could not be read or written
-    report: Report = field(default_factory=_empty)
+    report: Report = field(default_factory=_empty_report)
 
     def files(self, paths: list[Path]) -> None:
         from antdsl.files import find_files
@@ -79,14 +79,14 @@ class _Work:
         word = "would change" if self.check or self.diff else "changed"
         counts = ((len(self.changed), word), (same, "laid out well"), (self.left, "left alone"))
         summary = [f"{count} file{'' if count == 1 else 's'} {what}" for count, what in counts if count]
-        say(", ".join(summary) or "no .ant files here", err=True)
+        print_note(", ".join(summary) or "no .ant files here", err=True)
 
     def file(self, path: Path) -> None:
         from antdsl import limits, syntax
         from antdsl.bounded import read_bounded
 
         try:
-            text = self.formatted(*syntax.read(path))
+            text = self.format_source(*syntax.read(path))
             data = b"" if text is None else read_bounded(path, limits.ANT_FILE_BYTES)
             if text is None:
                 self.left += 1
@@ -97,13 +97,13 @@ class _Work:
         except OSError as problem:
             self.left += 1
             reason = (problem.strerror or "unknown reason").lower()
-            self.report.error("cannot-write", f"cannot write `{path}`: {reason}", None, f"{advice(problem)} {AGAIN}")
+            self.report.error("cannot-write", f"cannot write `{path}`: {reason}", None, f"{recovery_advice(problem)} {AGAIN}")
 
-    def standard_input(self) -> None:
+    def format_standard_input(self) -> None:
         from antdsl import syntax
 
-        data = standard_input()
-        text = self.formatted(*syntax.read_bytes("<stdin>", data))
+        data = read_standard_input()
+        text = self.format_source(*syntax.read_bytes("<stdin>", data))
         if text is None:
             return
         if not (self.check or self.diff):
@@ -112,7 +112,7 @@ class _Work:
         elif text.encode("utf-8") != data:
             self.tell("<stdin>", data.decode("utf-8"), text)
 
-    def formatted(self, source: object, report: Report) -> str | None:
+    def format_source(self, source: object, report: Report) -> str | None:
         """Return the text of a source in the standard layout; None with findings if it cannot be formatted."""
         from antdsl import syntax
         from antdsl.source import Source

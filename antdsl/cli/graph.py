@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import default_place, file_to_write, is_output, keeping_inputs, put
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import say
+from antdsl.cli.destinations import default_path, is_standard_output, protect_inputs, require_writable_file, write_result
+from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.printing.messages import print_note
 
 if TYPE_CHECKING:
     from antdsl.graphs import Chart
@@ -40,35 +40,37 @@ def graph(
 ) -> None:
     """Draw the state machines of a program."""
     from antdsl import graphs, pipeline
-    from antdsl.cli.printing.reports import demand
+    from antdsl.cli.printing.reports import exit_on_errors
 
-    chosen = _format(format, out)
-    target = out or default_place(Path(), file.stem + graphs.FORMATS[chosen][0][0])
-    file_to_write(target, "--out")
-    with keeping_inputs({"--out": target}) as inputs:
+    chosen = _choose_format(format, out)
+    target = out or default_path(Path(), file.stem + graphs.FORMATS[chosen][0][0])
+    require_writable_file(target, "--out")
+    with protect_inputs({"--out": target}) as inputs:
         inputs.append(file)
         program, report = pipeline.check_path(file)
-    demand(report)
+    exit_on_errors(report)
     if program is None:
-        raise Stop(Exit.FINDINGS)
-    charts = _named(graphs.charts(program), only)
+        raise CommandError(ExitCode.FINDINGS)
+    charts = _select_charts(graphs.charts(program), only)
     if not charts:
-        raise Stop(Exit.FINDINGS, f"error: `{file}` has no species with states", "`antdsl graph` draws states and their changes")
+        raise CommandError(
+            ExitCode.FINDINGS, f"error: `{file}` has no species with states", "`antdsl graph` draws states and their changes"
+        )
     written, report = graphs.write(charts, chosen)
-    demand(report)
+    exit_on_errors(report)
     assert written is not None
-    put(target, written, sys.stdout)
-    if not is_output(target):
-        say(str(target))
+    write_result(target, written, sys.stdout)
+    if not is_standard_output(target):
+        print_note(str(target))
 
 
-def _format(format: Format | None, out: Path | None) -> str:
+def _choose_format(format: Format | None, out: Path | None) -> str:
     """Return the requested format, or the one that the file's ending implies; without either, the default."""
     from antdsl.graphs import FORMATS
 
     if format is not None:
         return format.value
-    if out is None or is_output(out):
+    if out is None or is_standard_output(out):
         return next(iter(FORMATS))
     for name, (endings, _) in FORMATS.items():
         if out.suffix.lower() in endings:
@@ -77,7 +79,7 @@ def _format(format: Format | None, out: Path | None) -> str:
     raise typer.BadParameter(f"`{out}` ends in none of {known}: add `--format`", param_hint="--out")
 
 
-def _named(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
+def _select_charts(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
     """Return the charts of the named species and machines, in the order of the text."""
     from antdsl.diagnostics.suggestion import nearest_name
 
@@ -86,7 +88,7 @@ def _named(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:
         if name not in known:
             near = nearest_name(name, known)
             hint = f"did you mean `{near}`?" if near else "there is " + ", ".join(f"`{k}`" for k in known)
-            raise Stop(Exit.USAGE, f"error: no species or machine `{name}`", hint)
+            raise CommandError(ExitCode.USAGE, f"error: no species or machine `{name}`", hint)
     requested_names = set(names)
     return tuple(
         c for c in charts if not requested_names or c.title in requested_names or c.title.partition(".")[0] in requested_names

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
@@ -29,14 +29,14 @@ def info(
     try:
         opened_cache = open_cache(cache)
     except ManifestError as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
-    for line in describe(opened_cache):
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
+    for line in describe_cache(opened_cache):
         print_result(printable(line))  # the manifest may be a stranger's
     if verify:
-        _verify(opened_cache)
+        _verify_cache(opened_cache)
 
 
-def describe(cache: Cache) -> list[str]:
+def describe_cache(cache: Cache) -> list[str]:
     """The lines that tell about a cache."""
     from antdsl.outputs.provenance import resume_command
     from antdsl.scene.geometry.import_notes import MeshImport, import_lines
@@ -46,7 +46,7 @@ def describe(cache: Cache) -> list[str]:
     inside = [frame for frame in frames if manifest.first <= frame <= manifest.last]
     lines = [
         f"scene        {manifest.scene} (antdsl {manifest.antdsl}, seed {manifest.seed})",
-        f"frames       {len(inside)} of {frame_count}: {manifest.first}..{manifest.last} at {_fps(manifest.fps)} fps"
+        f"frames       {len(inside)} of {frame_count}: {manifest.first}..{manifest.last} at {_format_fps(manifest.fps)} fps"
         + (f", preroll {manifest.preroll}" if manifest.preroll else "")
         + (f", {manifest.substeps} substeps" if manifest.substeps > 1 else ""),
         f"units        {manifest.units}, {manifest.up} up",
@@ -65,7 +65,7 @@ def describe(cache: Cache) -> list[str]:
     lines += [f"field        {field.name}, cells of {field.cell:g} {manifest.units}" for field in manifest.fields]
     lines += [f"items        {items.name}: {' '.join(items.names)}" for items in manifest.items]
     for mesh in manifest.meshes:
-        lines.append(f"mesh         {mesh.name} ({mesh.kind}){_patches(mesh, manifest.units)}")
+        lines.append(f"mesh         {mesh.name} ({mesh.kind}){_describe_patches(mesh, manifest.units)}")
         if mesh.imported is not None:
             lines += [f"  {line}" for line in import_lines(MeshImport(**mesh.imported.model_dump()), manifest.units)]
     checkpoints = cache.checkpoints()
@@ -81,19 +81,19 @@ def describe(cache: Cache) -> list[str]:
     return lines
 
 
-def _patches(mesh: MeshEntry, units: str) -> str:
+def _describe_patches(mesh: MeshEntry, units: str) -> str:
     """Return, for a surface of heights, the distance of its triangles from the bilinear surface through its samples."""
     if mesh.deviation is None:
         return ""
     return f", samples of heights: at most {mesh.deviation:.3g} {units} off the bilinear surface through them"
 
 
-def _fps(text: str) -> str:
+def _format_fps(text: str) -> str:
     above, below = text.split("/")
     return above if below == "1" else text
 
 
-def _verify(cache: Cache) -> None:
+def _verify_cache(cache: Cache) -> None:
     """Compare every frame and checkpoint with the stored hashes. A missing frame between others counts as damage."""
     from antdsl.outputs.cache.cache_reader import STATIC
     from antdsl.outputs.cache.hashes import HASHES
@@ -116,7 +116,7 @@ def _verify(cache: Cache) -> None:
             )
         next_frame = max(next_frame, frame + 1)
         why = cache.damage(frame, lines.get(frame))
-        bad += _unread(partial(cache.frame, frame)) if why is None else [why]
+        bad += _find_read_errors(partial(cache.frame, frame)) if why is None else [why]
     for frame in checkpoints:
         why = cache.checkpoint_damage(frame, lines.get(frame))
         bad += [] if why is None else [why]
@@ -127,7 +127,7 @@ def _verify(cache: Cache) -> None:
         words = "\n".join([*(f"error: {why}" for why in bad[:50]), *overflow_note, *(f"error: {why}" for why in strays[:50])])
         advice = [f"this makes again what is damaged: {resume_command(cache.folder)}"] if bad else []
         advice += ["move away what is not of this cache"] if strays else []
-        raise Stop(Exit.FINDINGS, words, "\n".join(advice))
+        raise CommandError(ExitCode.FINDINGS, words, "\n".join(advice))
     unknown = [] if cache.manifest.static else [f"`{STATIC}`"]
     points = [str(frame) for frame in checkpoints if not lines[frame].checkpoint]
     unknown += [f"checkpoint{'s' if len(points) > 1 else ''} {' '.join(points)}"] if points else []
@@ -137,7 +137,7 @@ def _verify(cache: Cache) -> None:
         print_result(f"not checked  {', '.join(unknown)}: read, but written by a version without hashes of them")
 
 
-def _unread(read: Callable[[], object]) -> list[str]:
+def _find_read_errors(read: Callable[[], object]) -> list[str]:
     """Why something cannot be read."""
     from antdsl.outputs.cache.cache_reader import CacheError
 

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import default_place, file_to_write, is_output, keeping_inputs, put
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import say
+from antdsl.cli.destinations import default_path, is_standard_output, protect_inputs, require_writable_file, write_result
+from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.printing.messages import print_note
 
 if TYPE_CHECKING:
     from antdsl.farm import Job
@@ -57,28 +57,28 @@ def jobs(
     """Write a shot as a job for a render farm: simulation, then frames in chunks, then the film."""
     import sys
 
-    from antdsl.cli.arguments import frame_range, grants, pairs, require_scene
-    from antdsl.cli.printing.reports import demand
-    from antdsl.farm import Shot, json_lines, shot_job, template
+    from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs, require_scene
+    from antdsl.cli.printing.reports import exit_on_errors
+    from antdsl.farm import Shot, job_template, json_lines, shot_job
     from antdsl.pipeline import Choices, open_scene
 
     require_scene(scene)
     if to.suffix not in (*OPEN, *LINES):
         raise typer.BadParameter(f"`{to.name}` is none of {', '.join((*OPEN, *LINES))}", param_hint="--to")
-    file_to_write(to, "--to")
-    look = _looks(render)
-    granted, param_values = grants(root), pairs(set_, "--set")
-    with keeping_inputs({"--to": to}) as inputs:
+    require_writable_file(to, "--to")
+    look = _parse_render_words(render)
+    granted, param_values = parse_grants(root), parse_pairs(set_, "--set")
+    with protect_inputs({"--to": to}) as inputs:
         inputs.append(scene)
-        opened, report = open_scene(scene, Choices(granted, frame_range(frames), seed, param_values), thorough=False)
-    demand(report)
+        opened, report = open_scene(scene, Choices(granted, parse_frame_range(frames), seed, param_values), thorough=False)
+    exit_on_errors(report)
     assert opened is not None
-    cache = out if out is not None else default_place(scene.resolve().parent, "out", scene.stem)
+    cache = out if out is not None else default_path(scene.resolve().parent, "out", scene.stem)
     seeded = () if seed is None else ("--seed", str(seed))
     shot = Shot(
         scene=scene.resolve(),
         cache=cache,
-        pictures=pictures if pictures is not None else default_place(cache, "pictures", flag="--pictures"),
+        pictures=pictures if pictures is not None else default_path(cache, "pictures", flag="--pictures"),
         first=opened.frames.first,
         last=opened.frames.last,
         every=every,
@@ -90,15 +90,15 @@ def jobs(
     )
     job = shot_job(shot, scene.resolve().stem)
     if to.suffix in LINES:
-        put(to, json_lines(job).encode(), sys.stdout)
+        write_result(to, json_lines(job).encode(), sys.stdout)
     else:
-        _demand_template(job, shot.every, opened.frames.last - opened.frames.first + 1)
-        put(to, _text(template(job, to.resolve().parent), to.suffix), sys.stdout)
-    if not quiet and not is_output(to):
-        _tell(job, to)
+        _require_template(job, shot.every, opened.frames.last - opened.frames.first + 1)
+        write_result(to, _template_text(job_template(job, to.resolve().parent), to.suffix), sys.stdout)
+    if not quiet and not is_standard_output(to):
+        _print_summary(job, to)
 
 
-def _looks(text: str) -> tuple[str, ...]:
+def _parse_render_words(text: str) -> tuple[str, ...]:
     """Return the extra arguments of `antdsl render`, after that command has accepted them."""
     from antdsl.cli.render import render
 
@@ -115,7 +115,7 @@ def _looks(text: str) -> tuple[str, ...]:
     except typer.Exit:  # of `--help`
         raise typer.BadParameter(f"`{text}` draws nothing; {advice}", param_hint="--render") from None
     except wrong_use as why:
-        raise Stop(Exit.USAGE, f"error: `--render`: {getattr(why, 'message', why)}", advice) from None
+        raise CommandError(ExitCode.USAGE, f"error: `--render`: {getattr(why, 'message', why)}", advice) from None
     for name, instead in OWN.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
@@ -123,7 +123,7 @@ def _looks(text: str) -> tuple[str, ...]:
     return words
 
 
-def _demand_template(job: Job, every: int, frames: int) -> None:
+def _require_template(job: Job, every: int, frames: int) -> None:
     """What a template cannot say."""
     from antdsl.farm.open_job import MOST_TASKS
 
@@ -131,16 +131,16 @@ def _demand_template(job: Job, every: int, frames: int) -> None:
     if tasks > MOST_TASKS:
         enough = math.ceil(math.ceil(frames / every) / MOST_TASKS)
         words = f"error: {tasks:,} tasks are more than the {MOST_TASKS:,} that a template may list"
-        raise Stop(Exit.USAGE, words, f"write `--chunk {enough}`, or lines: `--to job.jsonl`")
+        raise CommandError(ExitCode.USAGE, words, f"write `--chunk {enough}`, or lines: `--to job.jsonl`")
     for word in (word for step in job.steps for word in step.command):
         texts = (word,) if isinstance(word, str) else (word.prefix, word.suffix)
         for text in texts:
             if "{{" in text:
                 words = f"error: `{text}` has `{{{{`, with which a template names its parameters"
-                raise Stop(Exit.USAGE, words, "give it another name, or write lines: `--to job.jsonl`")
+                raise CommandError(ExitCode.USAGE, words, "give it another name, or write lines: `--to job.jsonl`")
 
 
-def _text(document: dict[str, object], ending: str) -> bytes:
+def _template_text(document: dict[str, object], ending: str) -> bytes:
     if ending == ".json":
         return (json.dumps(document, indent=1, ensure_ascii=False) + "\n").encode()
     import yaml
@@ -148,13 +148,13 @@ def _text(document: dict[str, object], ending: str) -> bytes:
     return yaml.safe_dump(document, sort_keys=False, allow_unicode=True, width=120).encode()
 
 
-def _tell(job: Job, to: Path) -> None:
-    from antdsl.farm.open_job import unnamed
+def _print_summary(job: Job, to: Path) -> None:
+    from antdsl.farm.open_job import paths_to_name
 
     counts = [f"{step.name} ({len(step.chunks)} tasks)" if step.chunks else step.name for step in job.steps]
-    say(f"{to}: {', '.join(counts)}")
-    missing = unnamed(job, to.resolve().parent) if to.suffix in OPEN else []
+    print_note(f"{to}: {', '.join(counts)}")
+    missing = paths_to_name(job, to.resolve().parent) if to.suffix in OPEN else []
     if missing:
-        say("these do not lie below it, so name them when you submit it:")
+        print_note("these do not lie below it, so name them when you submit it:")
         for place in missing:
-            say(f"  {place.name}={place.path.resolve()}")
+            print_note(f"  {place.name}={place.path.resolve()}")

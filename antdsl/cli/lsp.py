@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.exits import CommandError, ExitCode
 
 
 def lsp() -> None:
     """Answer an editor over standard input and output (language server protocol). Needs the extra [lsp]."""
-    from antdsl.cli.printing.reports import demand
+    from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.lsp import ready
 
-    demand(ready())
+    exit_on_errors(ready())
     from antdsl.lsp.server import start
 
     try:
         ended_well = start()
     except OSError as problem:
         words = (problem.strerror or str(problem)).lower()
-        raise Stop(Exit.INPUT_OUTPUT, f"error: cannot write to standard output: {words}") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: cannot write to standard output: {words}") from None
     if not ended_well:
-        raise Stop(Exit.FINDINGS)  # as the protocol has it: an exit without a shutdown
+        raise CommandError(ExitCode.FINDINGS)  # as the protocol has it: an exit without a shutdown

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.exits import CommandError, ExitCode
 
 if TYPE_CHECKING:
     from antdsl.pipeline import Shot
-    from antdsl.runtime.binding.world_work import Work
+    from antdsl.runtime.binding.world_work import WorkEstimate
     from antdsl.source import Span
 
 ANY_MEMORY: bool = typer.Option(False, "--any-memory", help="Start even where the estimate exceeds the memory available.")
@@ -19,29 +19,31 @@ _SHARE = 0.8  # of what is available; the rest is for frames, kernels and other 
 _NAMED = 3  # things that a message names
 
 
-def work_of(shot: Shot) -> list[Work]:
+def estimate_work(shot: Shot) -> list[WorkEstimate]:
     """Return the allocations that the world of a shot and its crowd need."""
-    from antdsl.plan.registers import memory
+    from antdsl.plan.registers import bytes_by_purpose
     from antdsl.program.model import Const
     from antdsl.runtime.binding.world_work import world_work
-    from antdsl.scene.matching import const_base
+    from antdsl.scene.matching import const_in_base_units
 
-    sizes = {name: sum(memory(species).values()) for name, species in shot.plan.species.items()}
+    sizes = {name: sum(bytes_by_purpose(species).values()) for name, species in shot.plan.species.items()}
     fields = {
-        name: (declared.surfaces, const_base(declared.cell, shot.scene))
+        name: (declared.surfaces, const_in_base_units(declared.cell, shot.scene))
         for name, declared in shot.program.fields.items()
         if isinstance(declared.cell, Const)
     }
     return world_work(shot.setting, fields, sizes)
 
 
-def demand_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> None:
+def require_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> None:
     """End the command if the `at_once` largest runs need more than 80 % of the available memory; each shot is run `runs` times.
     Stop names the largest allocations, at the scene's place of the largest."""
     from antdsl.numerics.host import available_memory
 
     available = available_memory()
-    works = sorted(((sum(each.bytes for each in work), k, work) for k, work in enumerate(map(work_of, shots))), reverse=True)
+    works = sorted(
+        ((sum(each.bytes for each in work), k, work) for k, work in enumerate(map(estimate_work, shots))), reverse=True
+    )
     needed = sum([each for each, *_ in works for _ in range(min(runs, at_once))][:at_once])
     if available is None or not works or needed <= _SHARE * available:
         return
@@ -52,10 +54,10 @@ def demand_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> Non
     words += f"{size_text(int(_SHARE * available))}: {names}"
     fewer = ", fewer agents or fewer `--jobs`" if at_once > 1 and runs > 1 else " or fewer agents"
     hint = f"use larger cells or voxels, a lighter mesh{fewer}; to try it all the same, add `--any-memory`"
-    raise Stop(Exit.INPUT_OUTPUT, f"error: {_place(shots[k], largest[0])}: {words}", hint)
+    raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {_work_span(shots[k], largest[0])}: {words}", hint)
 
 
-def _place(shot: Shot, work: Work) -> Span:
+def _work_span(shot: Shot, work: WorkEstimate) -> Span:
     """Return the place in the scene, or in its program, that causes an allocation."""
     kind, _, name = work.thing.partition(" ")
     if kind == "field":

@@ -10,8 +10,8 @@ from typing import Any
 import typer
 
 from antdsl import __version__
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import say
+from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.printing.messages import print_note
 from antdsl.whole import make_folder, write_atomically
 
 _PROGRAM = """\
@@ -181,16 +181,16 @@ FILES: tuple[tuple[str, str], ...] = (
 def new(folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is not there yet, or is empty.")) -> None:
     """Write a small project to start from, with its specs and what checks it in CI."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise Stop(Exit.INPUT_OUTPUT, f"error: `{folder}` is there already and not empty", "name another folder")
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: `{folder}` is there already and not empty", "name another folder")
     for name, text in FILES:
         path = folder / name
         make_folder(path.parent)
         write_atomically(path, text.encode())
     write_atomically(folder / "ground.ply", ground())
-    say(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
+    print_note(f"walker.ant, scene.yaml and ground.ply are in {folder}; now:")
     for words in (("run", folder / "scene.yaml"), ("test", folder), ("render", folder / "out" / "scene", "--sheet")):
-        say(f"  {shlex.join(['antdsl', *map(str, words)])}")
-    say(f"{folder / 'README.md'} says more; a workflow for GitHub and hooks for pre-commit are there too")
+        print_note(f"  {shlex.join(['antdsl', *map(str, words)])}")
+    print_note(f"{folder / 'README.md'} says more; a workflow for GitHub and hooks for pre-commit are there too")
 
 
 def ground(side: int = 49, width: float = 200.0) -> bytes:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ def plan(
     """Print the array passes that a program became."""
     from antdsl import passes, pipeline
     from antdsl import plan as planning
-    from antdsl.cli.printing.reports import demand
+    from antdsl.cli.printing.reports import exit_on_errors
 
     setting: Setting | None = None
     final_plan: Plan | None = None
@@ -40,22 +40,22 @@ def plan(
         shot, report = pipeline.open_scene(file, raw=raw)
         if shot is not None:
             final_plan, setting = shot.plan, shot.setting
-    demand(report)
+    exit_on_errors(report)
     if final_plan is None:
-        raise Stop(Exit.FINDINGS)
-    print_result(_as_code(final_plan, setting, code) if native or code else planning.show(final_plan))
+        raise CommandError(ExitCode.FINDINGS)
+    print_result(_list_code(final_plan, setting, code) if native or code else planning.show(final_plan))
 
 
-def _as_code(final_plan: Plan, setting: Setting | None, code: bool) -> str:
+def _list_code(final_plan: Plan, setting: Setting | None, code: bool) -> str:
     """Return the listing of a plan's machine code. `setting`: that of the scene, or None for a program alone. `code`: append the
     text of the code. Raises Stop where no machine code can be made."""
     from antdsl.machine_code import machine
     from antdsl.runtime.backends.native import listing
-    from antdsl.runtime.backends.native.programs import Facts
+    from antdsl.runtime.backends.native.programs import WorldFacts
 
     if why := machine.unavailable():
-        raise Stop(Exit.FINDINGS, f"error: no machine code can be made here: {why}")
-    code_listing = listing.of_plan(final_plan, machine.host(), listing.STILL if setting is None else Facts.of(setting))
+        raise CommandError(ExitCode.FINDINGS, f"error: no machine code can be made here: {why}")
+    code_listing = listing.plan_program(final_plan, machine.host(), listing.STILL if setting is None else WorldFacts.of(setting))
     words = (
         "as on ground that stands still, without `lod`: a scene that uses this may have other code\n" if setting is None else ""
     )

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import say
+from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.printing.messages import print_note
 
 if TYPE_CHECKING:
     from antdsl.pipeline import Choices
     from antdsl.preview.live import Live
-    from antdsl.preview.serving.addresses import Listening
+    from antdsl.preview.serving.addresses import ListeningSockets
 
 
 def preview(
@@ -40,58 +40,60 @@ def preview(
     ),
 ) -> None:
     """Watch a scene while you write it: a page in the browser that reloads, rewinds and explains. Needs the extra [preview]."""
-    from antdsl.cli.printing.reports import demand
+    from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.preview.serving import ready
 
-    demand(ready())
-    from antdsl.cli.arguments import grants, pairs, require_scene
+    exit_on_errors(ready())
+    from antdsl.cli.arguments import parse_grants, parse_pairs, require_scene
 
     require_scene(scene)
     from antdsl.pipeline import Choices
 
-    choices = Choices(grants(root), None, seed, pairs(set_, "--set"))
+    choices = Choices(parse_grants(root), None, seed, parse_pairs(set_, "--set"))
     listening = _listen(host, port, let_others_in)
     try:
-        live = _live(scene, choices, threads)
+        live = _make_live(scene, choices, threads)
         _serve(live, scene, listening, open_it=not no_open, others=host is not None and let_others_in, again=port != 0)
     finally:
         listening.close()
 
 
-def _listen(host: str | None, port: int | None, let_others_in: bool) -> Listening:
-    from antdsl.preview.serving.addresses import CannotListen, is_loopback, listen
+def _listen(host: str | None, port: int | None, let_others_in: bool) -> ListeningSockets:
+    from antdsl.preview.serving.addresses import ListenError, is_loopback, listen
 
     try:
         if not is_loopback(host) and not let_others_in:
-            raise Stop(
-                Exit.USAGE,
+            raise CommandError(
+                ExitCode.USAGE,
                 f"error: `--host {host}` lets other machines in",
                 "who has the address with its token could watch this scene, read its programs and steer the run; who can\n"
                 "listen to the network could read the token. Say that it is meant with `--let-others-in`, or leave `--host`\n"
                 "out and reach this machine through `ssh -L 8765:127.0.0.1:8765`",
             )
         return listen(host, port)
-    except CannotListen as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name another with `--port` or `--host`, or leave them out") from None
+    except ListenError as why:
+        raise CommandError(
+            ExitCode.INPUT_OUTPUT, f"error: {why}", "name another with `--port` or `--host`, or leave them out"
+        ) from None
 
 
-def _live(scene: Path, choices: Choices, threads: int) -> Live:
+def _make_live(scene: Path, choices: Choices, threads: int) -> Live:
     """Return the live simulation. Mistakes in the files are reported; the simulation begins as soon as they are corrected."""
-    from antdsl.cli.printing.reports import show, verdict
-    from antdsl.cli.run import at_once
+    from antdsl.cli.printing.reports import report_exit_code, show
+    from antdsl.cli.run import choose_threads
     from antdsl.preview.live import Live
     from antdsl.runtime import Options
 
-    live = Live.open(scene, choices, Options(threads=at_once(threads), feet=True))
+    live = Live.open(scene, choices, Options(threads=choose_threads(threads), feet=True))
     show(live.report, to_stderr=True)
-    if verdict(live.report) is Exit.INPUT_OUTPUT:
-        raise Stop(Exit.INPUT_OUTPUT)
-    if not live.report.ok and _only_by(choices, live):
-        raise Stop(Exit.FINDINGS)
+    if report_exit_code(live.report) is ExitCode.INPUT_OUTPUT:
+        raise CommandError(ExitCode.INPUT_OUTPUT)
+    if not live.report.ok and _depends_on_params(choices, live):
+        raise CommandError(ExitCode.FINDINGS)
     return live
 
 
-def _only_by(choices: Choices, live: Live) -> bool:
+def _depends_on_params(choices: Choices, live: Live) -> bool:
     """Return whether the files have no errors without the values from the command line: then the command line must be corrected,
     not the files."""
     from dataclasses import replace
@@ -102,40 +104,40 @@ def _only_by(choices: Choices, live: Live) -> bool:
     return shot is not None and report.ok
 
 
-def _serve(live: Live, scene: Path, listening: Listening, *, open_it: bool, others: bool, again: bool) -> None:
+def _serve(live: Live, scene: Path, listening: ListeningSockets, *, open_it: bool, others: bool, again: bool) -> None:
     """Serve the preview. `again`: it may be restarted on this port, and pages that are open now reconnect to it."""
-    from antdsl.preview.serving.guard import Guard, Returning
-    from antdsl.preview.serving.pages import pages
-    from antdsl.preview.serving.server import Server, serve_here
+    from antdsl.preview.serving.guard import Guard, ReturningPages
+    from antdsl.preview.serving.pages import load_pages
+    from antdsl.preview.serving.server import Server, run_server
 
     # what goes over a network is not encrypted: who reads a key there could come back with it
-    returning = Returning.of(scene, listening.port) if again and not others else None
+    returning = ReturningPages.of(scene, listening.port) if again and not others else None
     guard = Guard(listening.names, returning=returning)
-    server = Server(live, guard, pages(), listening)
+    server = Server(live, guard, load_pages(), listening)
 
     def tell() -> None:
         for address in listening.addresses:
-            say(f"{address}#{guard.token}")
+            print_note(f"{address}#{guard.token}")
         if others:
-            say(
+            print_note(
                 "Other machines can reach this: who has the address with its token can watch the scene, read its programs\n"
                 "and steer the run, and can read and write no other file. What goes over the network is not encrypted."
             )
         waiting = "" if live.report.ok else f" {scene} has mistakes: the page shows them, and the ants come once they are mended."
-        say(f"Ctrl-C ends it.{waiting}")
+        print_note(f"Ctrl-C ends it.{waiting}")
         if open_it:
-            _open(f"{listening.addresses[0]}#{guard.invite()}")
+            _open_browser(f"{listening.addresses[0]}#{guard.invite()}")
 
     live.start()
     try:
-        serve_here(server, tell)
+        run_server(server, tell)
     except KeyboardInterrupt:
         pass  # the way in which a preview ends
     finally:
         live.stop()
 
 
-def _open(address: str) -> None:
+def _open_browser(address: str) -> None:
     """Open a browser if there is a screen; a text browser would take over this terminal."""
     import os
     import sys

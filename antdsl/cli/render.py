@@ -9,15 +9,24 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.destinations import default_place, folder_to_write
-from antdsl.cli.exits import Exit, Stop, report_failures
-from antdsl.cli.printing.messages import say
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, Where, answers, code_of, demand_scheduler, stoppable
+from antdsl.cli.destinations import default_path, require_writable_folder
+from antdsl.cli.exits import CommandError, ExitCode, report_failures
+from antdsl.cli.printing.messages import print_note
+from antdsl.cli.scheduler import (
+    NO_TLS,
+    SCHEDULER,
+    TLS,
+    Where,
+    raise_on_sigterm,
+    require_scheduler,
+    run_cache_tasks,
+    stop_exit_code,
+)
 from antdsl.whole import make_folder, sync_files
 
 if TYPE_CHECKING:
     from antdsl.outputs.cutting import Cut
-    from antdsl.outputs.drawing import Drawn, Stills
+    from antdsl.outputs.drawing import DrawRequest, Stills
     from antdsl.outputs.gallery import Gallery
     from antdsl.outputs.paths import Window
 
@@ -106,30 +115,42 @@ def render(
     ),
 ) -> None:
     """Draw frames of a cache."""
-    from antdsl.cli.arguments import frame_range
-    from antdsl.cli.run import at_once
-    from antdsl.outputs.drawing import Drawn, Stills
+    from antdsl.cli.arguments import parse_frame_range
+    from antdsl.cli.run import choose_threads
+    from antdsl.outputs.drawing import DrawRequest, Stills
 
-    demand_scheduler(scheduler, tls, no_tls)
+    require_scheduler(scheduler, tls, no_tls)
     words = tuple(word for word in show.replace(" ", "").split(",") if word and word != "none")
-    _window(window)
-    _cut(cut)
-    settings = Drawn(
-        *(width, height, camera.value, words, _ids(agents), cut, window, tuple(_full(full).items()), least, marks, blur),
+    _parse_window(window)
+    _parse_cut(cut)
+    settings = DrawRequest(
+        *(
+            width,
+            height,
+            camera.value,
+            words,
+            _parse_ids(agents),
+            cut,
+            window,
+            tuple(_parse_strengths(full).items()),
+            least,
+            marks,
+            blur,
+        ),
         legend=legend is Legend.beside,
         rest=(film or shot is not None) and agents is None,
     )
-    gallery = _gallery(cache, settings)
-    drawn = _frames(gallery, frame_range(frames), every, sheet, film)
-    folder = out if out is not None else default_place(cache, "pictures")
-    folder_to_write(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
+    gallery = _open_gallery(cache, settings)
+    drawn = _choose_frames(gallery, parse_frame_range(frames), every, sheet, film)
+    folder = out if out is not None else default_path(cache, "pictures")
+    require_writable_folder(folder, "--out", *(["film.mp4"] if film else ["sheet.png"] if sheet else []))
     make_folder(folder)
     if film:
-        _ready_for_films()
-    together = drawn if shot is None else _frames(gallery, frame_range(shot, "--shot"), every, False, True)
+        _require_film_support()
+    together = drawn if shot is None else _choose_frames(gallery, parse_frame_range(shot, "--shot"), every, False, True)
     stills = Stills.of(folder, gallery.cache, settings, together)
     try:
-        with stoppable():
+        with raise_on_sigterm():
             if scheduler:
                 if sheet and not film:
                     raise typer.BadParameter("a sheet has so few pictures that it is drawn here", param_hint="--scheduler")
@@ -141,24 +162,24 @@ def render(
                 existing_frames = [frame for frame in drawn if resume and stills.read_still(frame) is not None]
                 new = [frame for frame in drawn if frame not in set(existing_frames)]
                 if new:
-                    _by_cluster(
+                    _draw_on_cluster(
                         (scheduler, tls, no_tls), cache, settings, new, together, folder, 1 / gallery.dt if film else None
                     )
-                _skipped(len(existing_frames))
+                _report_skipped(len(existing_frames))
                 return
-            pictures = _draw(gallery, settings, drawn, together, at_once(threads), stills if resume else None)
+            pictures = _draw_frames(gallery, settings, drawn, together, choose_threads(threads), stills if resume else None)
             if film:
-                _film((image for _, image, _ in pictures), gallery, folder)
+                _write_film((image for _, image, _ in pictures), gallery, folder)
             elif sheet:
-                _sheet([(frame, image) for frame, image, _ in pictures], stills)
+                _write_sheet([(frame, image) for frame, image, _ in pictures], stills)
             else:
-                _stills(pictures, stills)
+                _write_stills(pictures, stills)
     except KeyboardInterrupt as why:
         advice = "the same command with `--resume` draws the others"
-        raise Stop(code_of(why), "stopped: pictures that are there are whole", advice) from None
+        raise CommandError(stop_exit_code(why), "stopped: pictures that are there are whole", advice) from None
 
 
-def _cut(text: str | None) -> Cut | None:
+def _parse_cut(text: str | None) -> Cut | None:
     from antdsl.outputs.cutting import Cut
 
     cut = Cut.of(text) if text is not None else None
@@ -167,7 +188,7 @@ def _cut(text: str | None) -> Cut | None:
     return cut
 
 
-def _window(text: str) -> Window:
+def _parse_window(text: str) -> Window:
     from antdsl.outputs.paths import MOST_SECONDS, Window
 
     window = Window.of(text)
@@ -178,7 +199,7 @@ def _window(text: str) -> Window:
     return window
 
 
-def _full(texts: list[str]) -> dict[str, float]:
+def _parse_strengths(texts: list[str]) -> dict[str, float]:
     strengths = {}
     for text in texts:
         name, _, value = text.partition("=")
@@ -191,7 +212,7 @@ def _full(texts: list[str]) -> dict[str, float]:
     return strengths
 
 
-def _gallery(folder: Path, settings: Drawn) -> Gallery:
+def _open_gallery(folder: Path, settings: DrawRequest) -> Gallery:
     from antdsl.outputs.cache.cache_reader import CacheError, open_cache
     from antdsl.outputs.cache.manifest import ManifestError
     from antdsl.outputs.gallery import NoPicture
@@ -199,26 +220,28 @@ def _gallery(folder: Path, settings: Drawn) -> Gallery:
     try:
         return settings.gallery(open_cache(folder))
     except (ManifestError, CacheError) as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except NoPicture as why:
         advice = "add it to `output: {attributes: …}` of the scene and run again"
         if "field" in str(why):
             advice = "`antdsl info CACHE` names its fields"
-        raise Stop(Exit.FINDINGS, f"error: {why}", advice) from None
+        raise CommandError(ExitCode.FINDINGS, f"error: {why}", advice) from None
 
 
-def _frames(gallery: Gallery, between: Any, every: int | None, sheet: bool, film: bool) -> list[int]:
+def _choose_frames(gallery: Gallery, between: Any, every: int | None, sheet: bool, film: bool) -> list[int]:
     cache_frames = gallery.cache.frames()
     if between is not None:
         cache_frames = [frame for frame in cache_frames if between.first <= frame <= between.last]
     if not cache_frames:
-        raise Stop(Exit.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has")
+        raise CommandError(
+            ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has"
+        )
     if every is not None:
         cache_frames = cache_frames[::every]
         if not sheet or film or len(cache_frames) <= MOST:
             return cache_frames
-        raise Stop(
-            Exit.USAGE,
+        raise CommandError(
+            ExitCode.USAGE,
             f"error: {len(cache_frames)} pictures do not fit on a sheet",
             f"ask for at most {MOST}: a larger `--every`",
         )
@@ -228,7 +251,7 @@ def _frames(gallery: Gallery, between: Any, every: int | None, sheet: bool, film
     return cache_frames if between is not None or film else cache_frames[-1:]
 
 
-def _ids(text: str | None) -> tuple[int, ...]:
+def _parse_ids(text: str | None) -> tuple[int, ...]:
     if text is None:
         return ()
     try:
@@ -237,8 +260,8 @@ def _ids(text: str | None) -> tuple[int, ...]:
         raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,17", param_hint="--agents") from None
 
 
-def _draw(
-    gallery: Gallery, settings: Drawn, frames: list[int], together: list[int], threads: int, stored_stills: Stills | None
+def _draw_frames(
+    gallery: Gallery, settings: DrawRequest, frames: list[int], together: list[int], threads: int, stored_stills: Stills | None
 ) -> Iterator[tuple[int, Any, bool]]:
     """Yield frames with their pictures, and whether these were drawn (True) or taken from `stored_stills`. `together`: the frames
     for which the camera is chosen."""
@@ -258,42 +281,42 @@ def _draw(
             yield frame, drawer.draw(frame), True
     except CacheError as why:
         advice = f"this makes damaged frames again: {resume_command(gallery.cache.folder)}"
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", advice) from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", advice) from None
     except NoPicture as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None
     except NoAgent as why:
-        raise Stop(Exit.FINDINGS, f"error: {why}") from None
+        raise CommandError(ExitCode.FINDINGS, f"error: {why}") from None
     except ValueError as why:
         raise typer.BadParameter(str(why), param_hint="--show") from None
 
 
-def _by_cluster(
-    where: Where, cache: Path, settings: Drawn, frames: list[int], together: list[int], folder: Path, fps: float | None
+def _draw_on_cluster(
+    where: Where, cache: Path, settings: DrawRequest, frames: list[int], together: list[int], folder: Path, fps: float | None
 ) -> None:
     """Draw stills on a cluster's workers, or, with `fps`, a film of them."""
     from antdsl.outputs.drawing import still_path
-    from antdsl.shots.stills import tasks
+    from antdsl.shots.stills import still_tasks
 
-    stills = folder if fps is None else default_place(folder, "film.frames")
+    stills = folder if fps is None else default_path(folder, "film.frames")
     make_folder(stills)
-    for answered in answers(where, cache, stills, lambda real_cache, to: tasks(real_cache, settings, frames, together, to)):
+    for answered in run_cache_tasks(
+        where, cache, stills, lambda real_cache, to: still_tasks(real_cache, settings, frames, together, to)
+    ):
         for frame in answered.task.document["frames"] if fps is None else ():
-            say(str(still_path(folder, frame)))
+            print_note(str(still_path(folder, frame)))
     if fps is None:
         sync_files(still_path(folder, frame) for frame in frames)
     if fps is not None:
-        _film_of_stills(
-            [still_path(stills, frame) for frame in frames], folder / "film.mp4", fps, settings.width * settings.height
-        )
+        _join_stills([still_path(stills, frame) for frame in frames], folder / "film.mp4", fps, settings.width * settings.height)
         stills.rmdir()
 
 
-def _film_of_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> None:
+def _join_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> None:
     """Combine pictures of `pixels` pixels into a film, and remove them."""
     from antdsl.bounded import read_bounded
-    from antdsl.cli.printing.reports import demand
+    from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.drawing import STILL_BYTES
-    from antdsl.outputs.pictures import film
+    from antdsl.outputs.pictures import write_film
     from antdsl.reader.image_request import ImageError, read_image_file
 
     def images() -> Iterator[Any]:
@@ -306,53 +329,53 @@ def _film_of_stills(paths: list[Path], path: Path, fps: float, pixels: int) -> N
                 raise OSError(None, "is not the picture that was drawn", str(each))
             yield image.samples
 
-    demand(film(images(), path, fps))
+    exit_on_errors(write_film(images(), path, fps))
     for each in paths:
         each.unlink()
-    say(str(path))
+    print_note(str(path))
 
 
-def _ready_for_films() -> None:
+def _require_film_support() -> None:
     """Report a missing extra before anything is drawn."""
-    from antdsl.cli.printing.reports import demand
-    from antdsl.outputs.pictures import film_ready
+    from antdsl.cli.printing.reports import exit_on_errors
+    from antdsl.outputs.pictures import check_film_support
 
-    demand(film_ready())
+    exit_on_errors(check_film_support())
 
 
-def _film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
+def _write_film(images: Iterator[Any], gallery: Gallery, folder: Path) -> None:
     """Write pictures to the film as they are drawn; none is stored."""
-    from antdsl.cli.printing.reports import demand
-    from antdsl.outputs.pictures import film
+    from antdsl.cli.printing.reports import exit_on_errors
+    from antdsl.outputs.pictures import write_film
 
     path = folder / "film.mp4"
-    demand(film(images, path, 1 / gallery.dt))
-    say(str(path))
+    exit_on_errors(write_film(images, path, 1 / gallery.dt))
+    print_note(str(path))
 
 
-def _sheet(pictures: list[tuple[int, Any]], stills: Stills) -> None:
+def _write_sheet(pictures: list[tuple[int, Any]], stills: Stills) -> None:
     from antdsl.outputs.pictures import contact_sheet
     from antdsl.outputs.pictures.image_files import still
 
     path = stills.folder / "sheet.png"
     still(contact_sheet([image for _, image in pictures], [f"frame {frame}" for frame, _ in pictures]), path)
-    say(str(path))
+    print_note(str(path))
     picture = stills.put(*pictures[-1])
     sync_files([picture])
-    say(str(picture))
+    print_note(str(picture))
 
 
-def _stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
+def _write_stills(drawn: Iterator[tuple[int, Any, bool]], stills: Stills) -> None:
     existing_count, paths = 0, []
     for frame, image, new in drawn:
         existing_count += not new
         if new:
             paths.append(stills.put(frame, image))
-            say(str(paths[-1]))
+            print_note(str(paths[-1]))
     sync_files(paths)
-    _skipped(existing_count)
+    _report_skipped(existing_count)
 
 
-def _skipped(count: int) -> None:
+def _report_skipped(count: int) -> None:
     if count:
-        say(f"{count} {'picture was' if count == 1 else 'pictures were'} there already")
+        print_note(f"{count} {'picture was' if count == 1 else 'pictures were'} there already")

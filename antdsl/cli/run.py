@@ -10,11 +10,18 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import default_place, file_to_write, folder_to_write, keeping_inputs, put, words_aside
-from antdsl.cli.exits import Exit, Stop, report_failures
-from antdsl.cli.memory_demand import ANY_MEMORY, demand_memory
-from antdsl.cli.printing.messages import say
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, demand_scheduler
+from antdsl.cli.destinations import (
+    default_path,
+    protect_inputs,
+    redirect_messages,
+    require_writable_file,
+    require_writable_folder,
+    write_result,
+)
+from antdsl.cli.exits import CommandError, ExitCode, report_failures
+from antdsl.cli.memory_demand import ANY_MEMORY, require_memory
+from antdsl.cli.printing.messages import print_note
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, require_scheduler
 from antdsl.cli.shots import run_shots
 from antdsl.numerics.host import cores
 
@@ -81,15 +88,15 @@ def run(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
 ) -> None:
     """Simulate scenes and write their caches."""
-    from antdsl.cli.arguments import frame_range, grants, pairs, require_scene
-    from antdsl.cli.printing.reports import demand
+    from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs, require_scene
+    from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.outputs.cache.cache_reader import NAMES
     from antdsl.pipeline import Choices, open_scene
 
-    demand_scheduler(scheduler, tls, no_tls)
+    require_scheduler(scheduler, tls, no_tls)
     for scene in scenes:
         require_scene(scene)
-    choices = Choices(grants(root), frame_range(frames), seed, pairs(set_, "--set"))
+    choices = Choices(parse_grants(root), parse_frame_range(frames), seed, parse_pairs(set_, "--set"))
     if scheduler or len(scenes) > 1:
         if summary is not None or profile:
             flag = "--summary" if summary is not None else "--profile"
@@ -99,52 +106,52 @@ def run(
         run_shots(scenes, choices, out, words, threads, (scheduler, tls, no_tls), quiet, any_memory)
         return
     (scene,) = scenes
-    file_to_write(summary, "--summary")
-    folder = out if out is not None else default_place(scene.resolve().parent, "out", scene.stem)
+    require_writable_file(summary, "--summary")
+    folder = out if out is not None else default_path(scene.resolve().parent, "out", scene.stem)
     if scene.is_file():  # else there is no folder beside it to ask
-        folder_to_write(folder, "--out")
-    again = _again(scene, out, frames, seed, set_, root, summary, any_memory)
+        require_writable_folder(folder, "--out")
+    again = _resume_command(scene, out, frames, seed, set_, root, summary, any_memory)
     files, folders = {"--summary": summary}, {"--out": (folder, NAMES)}
-    with _setting_up(again), keeping_inputs(files, folders) as inputs:
+    with _stop_in_set_up(again), protect_inputs(files, folders) as inputs:
         inputs.append(scene)
         shot, report = open_scene(scene, choices, thorough=False)
-    demand(report)
+    exit_on_errors(report)
     if shot is None:
-        raise Stop(Exit.FINDINGS)
+        raise CommandError(ExitCode.FINDINGS)
     if not any_memory:
-        demand_memory([shot])
+        require_memory([shot])
     from antdsl.runtime import Options
 
     options = Options(
-        backend=backend.value, chunk=chunk, threads=at_once(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
+        backend=backend.value, chunk=chunk, threads=choose_threads(threads, quiet), shuffle_rows=shuffle, on_fault=on_fault.value
     )
     writing = report_failures("cannot write the cache", f"go on with: {again}")
-    with writing, _setting_up(again), keeping_inputs(files, folders):  # another cache too, that the scene begins with
-        recording = _begin(shot, folder, options, choices, resume, force, quiet)
-    with words_aside(summary) as output:
+    with writing, _stop_in_set_up(again), protect_inputs(files, folders):  # another cache too, that the scene begins with
+        recording = _begin_recording(shot, folder, options, choices, resume, force, quiet)
+    with redirect_messages(summary) as output:
         if profile:
             from antdsl.runtime.profiling import Meter
 
             recording.meter = Meter(None)
-        _go(recording, quiet, again)
+        _record_to_end(recording, quiet, again)
         if summary is not None:
             from antdsl.outputs.summary import summary_file
 
             with report_failures("the cache is complete; cannot write its summary", f"go on with: {again}"):
-                put(summary, summary_file(recording), output)
+                write_result(summary, summary_file(recording), output)
         if recording.meter is not None:
             from antdsl.cli.printing.profile_table import show
 
             show(recording.meter.profile(), lines=options.backend != "reference")
 
 
-def at_once(requested_threads: int, quiet: bool = False) -> int:
+def choose_threads(requested_threads: int, quiet: bool = False) -> int:
     """Return the number of threads to use if `requested_threads` are requested, 0 being all. It is at most the number of usable
     cores: more threads would only wait for each other, and libraries complain about it. Unless `quiet`, a message reports a
     reduction."""
     core_count = cores()
     if requested_threads > core_count and not quiet:
-        say(
+        print_note(
             f"`--threads {requested_threads}`: this process may use {core_count} core{'s' * (core_count > 1)} here, "
             f"so {core_count} at a time",
             err=True,
@@ -152,7 +159,7 @@ def at_once(requested_threads: int, quiet: bool = False) -> int:
     return min(requested_threads or core_count, core_count)
 
 
-def _again(
+def _resume_command(
     scene: Path,
     out: Path | None,
     frames: str | None,
@@ -177,12 +184,12 @@ def _again(
 
 
 @contextmanager
-def _setting_up(again: str) -> Iterator[None]:
+def _stop_in_set_up(again: str) -> Iterator[None]:
     """End the command with its exit code on SIGTERM during set-up, when there is no frame to store yet."""
     import signal
 
     def stop(number: int, frame: object) -> None:
-        raise Stop(Exit.TERMINATED, "stopped before the first frame", f"begin with: {again}")
+        raise CommandError(ExitCode.TERMINATED, "stopped before the first frame", f"begin with: {again}")
 
     previous_handler = signal.signal(signal.SIGTERM, stop)
     try:
@@ -191,73 +198,75 @@ def _setting_up(again: str) -> Iterator[None]:
         signal.signal(signal.SIGTERM, previous_handler)
 
 
-def _begin(shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool, quiet: bool) -> Recording:
-    from antdsl.cli.printing.progress import set_up
-    from antdsl.cli.printing.reports import demand, show
-    from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, InTheWay, OtherHashes
+def _begin_recording(
+    shot: Shot, folder: Path, options: Options, choices: Choices, resume: bool, force: bool, quiet: bool
+) -> Recording:
+    from antdsl.cli.printing.progress import show_set_up
+    from antdsl.cli.printing.reports import exit_on_errors, show
+    from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
     from antdsl.outputs.recording import NothingToResume, begin
     from antdsl.outputs.starting import StartError
     from antdsl.runtime import BindError
-    from antdsl.runtime.binding.start_findings import start_findings
+    from antdsl.runtime.binding.start_findings import start_warnings
 
     try:
-        with set_up(quiet):
+        with show_set_up(quiet):
             recording = begin(shot, folder, options, resume=resume, force=force)
         if recording.resumed_from is None and shot.scene.model.start is None:
-            show(start_findings(shot.scene, recording.world), to_stderr=True)
+            show(start_warnings(shot.scene, recording.world), to_stderr=True)
         for note in recording.notes:
-            say(note, err=True)
+            print_note(note, err=True)
         return recording
     except (BindError, StartError) as why:
-        demand(why.report)
-        raise Stop(Exit.FINDINGS) from None
+        exit_on_errors(why.report)
+        raise CommandError(ExitCode.FINDINGS) from None
     except ForeignFolder as why:
-        raise Stop(
-            Exit.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`, or write into it anyway with `--force`"
+        raise CommandError(
+            ExitCode.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`, or write into it anyway with `--force`"
         ) from None
-    except InTheWay as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
+    except PathBlocked as why:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
     except DifferentInputs as why:
         advice = "give the same inputs again, or run without `--resume` to begin again"
-        raise Stop(Exit.FINDINGS, f"error: {why}", advice) from None
-    except OtherHashes as why:
-        raise Stop(Exit.FINDINGS, f"error: {why}", "run without `--resume` to begin again") from None
+        raise CommandError(ExitCode.FINDINGS, f"error: {why}", advice) from None
+    except DifferentHashes as why:
+        raise CommandError(ExitCode.FINDINGS, f"error: {why}", "run without `--resume` to begin again") from None
     except NothingToResume as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "run without `--resume` to begin again") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "run without `--resume` to begin again") from None
 
 
-def _go(recording: Recording, quiet: bool, again: str) -> None:
+def _record_to_end(recording: Recording, quiet: bool, again: str) -> None:
     """Run to the end, or until Ctrl-C or SIGTERM asks for a stop after the frame under way."""
     import signal
 
-    from antdsl.cli.printing.progress import progress
-    from antdsl.outputs.cache.lock import Locked
+    from antdsl.cli.printing.progress import show_progress
+    from antdsl.outputs.cache.lock import FolderLocked
     from antdsl.outputs.recording import record
     from antdsl.runtime import FaultStop, LimitStop
 
-    code = Exit.INTERRUPTED
+    code = ExitCode.INTERRUPTED
 
     def ask_to_stop(number: int, frame: object) -> None:
         nonlocal code
         if number == signal.SIGTERM:  # farms send it several times, to the group and to the process
-            code = Exit.TERMINATED
+            code = ExitCode.TERMINATED
         elif recording.stop:
             raise KeyboardInterrupt
         recording.stop = True
 
     previous_handlers = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with report_failures("cannot write the cache", f"go on with: {again}"), progress(recording, quiet) as watch:
-            for _ in record(recording, watch.preroll):
+        with report_failures("cannot write the cache", f"go on with: {again}"), show_progress(recording, quiet) as watch:
+            for _ in record(recording, watch.show_preroll):
                 watch.frame()
-    except Locked as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
+    except FolderLocked as why:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
     except LimitStop as why:
         words = f"mend the program; the frames before are in {recording.folder}"
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", words) from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", words) from None
     except FaultStop as why:
-        raise Stop(
-            Exit.FINDINGS,
+        raise CommandError(
+            ExitCode.FINDINGS,
             f"error: {why}",
             "mend the program, or go on without such agents: `--on-fault quarantine`\n"
             f"the frames before are in {recording.folder}",
@@ -266,8 +275,8 @@ def _go(recording: Recording, quiet: bool, again: str) -> None:
         for number, handler in previous_handlers.items():
             signal.signal(number, handler)
         for note in recording.world.backend.messages():
-            say(note, err=True)
+            print_note(note, err=True)
     if recording.stop and not recording.complete:
         if recording.frame is None:
-            raise Stop(code, "stopped before the first frame", f"begin with: {again}")
-        raise Stop(code, f"stopped after frame {recording.frame}, which has a checkpoint", f"go on with: {again}")
+            raise CommandError(code, "stopped before the first frame", f"begin with: {again}")
+        raise CommandError(code, f"stopped after frame {recording.frame}, which has a checkpoint", f"go on with: {again}")

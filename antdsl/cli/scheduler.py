@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import say
+from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.printing.messages import print_note
 from antdsl.numerics.host import cores
 
 if TYPE_CHECKING:
-    from antdsl.executors import Answered, Task
+    from antdsl.executors import Task, TaskOutcome
     from antdsl.executors.cluster import Cluster
     from antdsl.executors.parcel import VisibleFile
     from antdsl.shots.placing import Destination
@@ -48,10 +48,10 @@ NO_TLS: Any = typer.Option(
 _HOW = "pip install 'antdsl[cluster]'"
 
 
-def demand_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> None:
+def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> None:
     """Check that the scheduler arguments are consistent, before anything is created; wrong ones end the command."""
     if address is not None:
-        _allowed(address, tls, no_tls)
+        _certificate_folder(address, tls, no_tls)
     elif tls is not None or no_tls:
         flag = "--tls" if tls is not None else "--no-tls"
         raise typer.BadParameter(
@@ -60,7 +60,7 @@ def demand_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> Non
 
 
 @contextmanager
-def cluster(
+def open_cluster(
     address: str,
     tls: Path | None,
     no_tls: bool,
@@ -72,35 +72,35 @@ def cluster(
     """Connect to the cluster at an address. Its workers have received the files, or see `visible_file` at its path. `workers`
     with `threads` threads each are started if the cluster is local. Problems end the command; raises Lost where no scheduler
     answers."""
-    folder = _allowed(address, tls, no_tls)
+    folder = _certificate_folder(address, tls, no_tls)
     from importlib.util import find_spec
 
     if find_spec("distributed") is None or find_spec("cryptography") is None:
-        raise Stop(
-            Exit.INPUT_OUTPUT,
+        raise CommandError(
+            ExitCode.INPUT_OUTPUT,
             "error: `--scheduler` needs Dask",
             f"install it: {_HOW}; without `--scheduler` all runs on this machine",
         )
-    from antdsl.executors import Refused
-    from antdsl.executors.cluster import connected, local_cluster, security_of
+    from antdsl.executors import TaskRefused
+    from antdsl.executors.cluster import connect, load_security, local_cluster
 
     try:
         if address == "local":
             with (
                 local_cluster(workers, threads) as (local_address, security),
-                connected(local_address, security, files, visible_file) as connected_cluster,
+                connect(local_address, security, files, visible_file) as connected_cluster,
             ):
                 yield connected_cluster
         else:
-            with connected(
-                address, security_of(folder) if folder is not None else None, files, visible_file
+            with connect(
+                address, load_security(folder) if folder is not None else None, files, visible_file
             ) as connected_cluster:
                 yield connected_cluster
-    except Refused as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}") from None
+    except TaskRefused as why:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}") from None
 
 
-def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
+def _certificate_folder(address: str, tls: Path | None, no_tls: bool) -> Path | None:
     """Return the folder of certificates for an address, or None if none is needed."""
     from antdsl.executors.tasks import TLS_FILES
 
@@ -121,11 +121,11 @@ def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
         missing = [name for name in TLS_FILES if not (tls / name).is_file()]
         if missing:
             raise typer.BadParameter(f"`{tls}` has no `{missing[0]}`", param_hint="--tls")
-        _demand_certificates(tls)
+        _require_certificates(tls)
         return tls
     if tls is not None:
         raise typer.BadParameter(f"`{address}` is in the clear; write tls://{match[2]}:{match[3]}", param_hint="--scheduler")
-    if not no_tls and not _loopback(match[2].strip("[]")):
+    if not no_tls and not _is_loopback(match[2].strip("[]")):
         raise typer.BadParameter(
             f"`{address}` is not encrypted, so everyone who can reach it can run code on it; write tls:// and `--tls DIR`, or, "
             "on a network that is trusted, add `--no-tls`",
@@ -134,7 +134,7 @@ def _allowed(address: str, tls: Path | None, no_tls: bool) -> Path | None:
     return None
 
 
-def _demand_certificates(folder: Path) -> None:
+def _require_certificates(folder: Path) -> None:
     """Raise BadParameter unless the files of a folder are certificates, with the key of the second. Dask would only report that
     no scheduler answers."""
     import ssl
@@ -159,7 +159,7 @@ def _demand_certificates(folder: Path) -> None:
             ) from None
 
 
-def _loopback(host: str) -> bool:
+def _is_loopback(host: str) -> bool:
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -170,13 +170,13 @@ class Terminated(KeyboardInterrupt):
     """SIGTERM: treated like Ctrl-C, but with a separate exit code."""
 
 
-def code_of(why: BaseException) -> Exit:
+def stop_exit_code(why: BaseException) -> ExitCode:
     """The exit code of a command that was stopped by Ctrl-C or by SIGTERM."""
-    return Exit.TERMINATED if isinstance(why, Terminated) else Exit.INTERRUPTED
+    return ExitCode.TERMINATED if isinstance(why, Terminated) else ExitCode.INTERRUPTED
 
 
 @contextmanager
-def stoppable() -> Iterator[None]:
+def raise_on_sigterm() -> Iterator[None]:
     """Raise an exception on SIGTERM too, as on Ctrl-C, while the context is open."""
 
     def stop(number: int, frame: object) -> None:
@@ -190,31 +190,35 @@ def stoppable() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def answers(where: Where, cache: Path, to: Path, tasks: Callable[[Path, Destination], Iterable[Task]]) -> Iterator[Answered]:
+def run_cache_tasks(
+    where: Where, cache: Path, to: Path, tasks: Callable[[Path, Destination], Iterable[Task]]
+) -> Iterator[TaskOutcome]:
     """Yield the result of each task on the cluster `where`, once its files are in the folder `to`. `where`: address,
     certificates, and whether it may run without them. `tasks` is called with the complete cache, its links resolved, and the
     destination of files. If a task fails, the command ends after all have run; it also ends if the scheduler is lost."""
     from antdsl.bounded import real_path
-    from antdsl.executors import Lost
+    from antdsl.executors import WorkersLost
     from antdsl.executors.parcel import VisibleFile
     from antdsl.outputs.cache.cache_reader import STATIC, frame_path, open_cache
     from antdsl.outputs.cache.hashes import HASHES
     from antdsl.outputs.cache.manifest import MANIFEST
-    from antdsl.shots.placing import destination, fetched
+    from antdsl.shots.placing import mark_folder, run_and_fetch
 
     cache = real_path(cache)
     files = [*(cache / name for name in (MANIFEST, STATIC, HASHES)), *(frame_path(cache, f) for f in open_cache(cache).frames())]
     failed = 0
     try:
-        with cluster(*where, cores(), 1, files, VisibleFile.of(cache / HASHES)) as executors, destination(to) as place:
-            for answered in fetched(tasks(cache, place), executors, lambda task: to, noted=lambda words: say(words, err=True)):
+        with open_cluster(*where, cores(), 1, files, VisibleFile.of(cache / HASHES)) as executors, mark_folder(to) as place:
+            for answered in run_and_fetch(
+                tasks(cache, place), executors, lambda task: to, noted=lambda words: print_note(words, err=True)
+            ):
                 if answered.answer is None:
                     failed += 1
                     first, last = (answered.task.document["frames"][number] for number in (0, -1))
-                    say(f"failed: frames {first}..{last}: {answered.problem}", err=True)
+                    print_note(f"failed: frames {first}..{last}: {answered.problem}", err=True)
                 else:
                     yield answered
-    except Lost as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "the same command makes all frames again") from None
+    except WorkersLost as why:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "the same command makes all frames again") from None
     if failed:
-        raise Stop(Exit.FINDINGS, "error: the frames that failed are not written")
+        raise CommandError(ExitCode.FINDINGS, "error: the frames that failed are not written")

@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.destinations import default_place, folder_to_write, keeping_inputs
-from antdsl.cli.exits import Exit, Stop, report_failures
-from antdsl.cli.memory_demand import ANY_MEMORY, demand_memory
-from antdsl.cli.printing.messages import notes, say
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, cluster, code_of, demand_scheduler, stoppable
+from antdsl.cli.destinations import default_path, protect_inputs, require_writable_folder
+from antdsl.cli.exits import CommandError, ExitCode, report_failures
+from antdsl.cli.memory_demand import ANY_MEMORY, require_memory
+from antdsl.cli.printing.messages import note_output, print_note
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, open_cluster, raise_on_sigterm, require_scheduler, stop_exit_code
 from antdsl.whole import write_atomically
 
 if TYPE_CHECKING:
-    from antdsl.sweep import Chooser, Job, Outcome, RunStore
+    from antdsl.sweep import Job, JobChooser, Outcome, RunStore
     from antdsl.sweep.study import Study
     from antdsl.sweep.table import Result
 
@@ -99,16 +99,16 @@ def sweep(
 ) -> None:
     """Run scenes with other values and seeds, and tell medians and quartiles."""
     from antdsl.cli.arguments import require_scene
-    from antdsl.cli.printing.reports import demand
-    from antdsl.cli.sweep_words import load_request, nothing, scene_shots, study_of, widths_of
-    from antdsl.executors import Lost, Processes
+    from antdsl.cli.printing.reports import exit_on_errors
+    from antdsl.cli.sweep_words import build_study, load_request, nothing, open_scene_shots, parse_widths
+    from antdsl.executors import Processes, WorkersLost
     from antdsl.numerics.host import cores
-    from antdsl.scene.paths import sought
-    from antdsl.sweep import Chooser, RunStore, run_all
-    from antdsl.sweep.finished_runs import OtherFiles
+    from antdsl.scene.paths import record_sought
+    from antdsl.sweep import JobChooser, RunStore, run_all
+    from antdsl.sweep.finished_runs import NoSweepFolder
     from antdsl.sweep.study import SweepRequest
 
-    demand_scheduler(scheduler, tls, no_tls)
+    require_scheduler(scheduler, tls, no_tls)
     for scene in scenes or ():
         require_scene(scene)
     request = (
@@ -127,21 +127,21 @@ def sweep(
             root=root,
         )
     )
-    widths, first = widths_of(request), Path(request.scenes[0])
-    folder = out if out is not None else default_place(first.resolve().parent, "out", "sweep")
+    widths, first = parse_widths(request), Path(request.scenes[0])
+    folder = out if out is not None else default_path(first.resolve().parent, "out", "sweep")
     if first.is_file():  # else there is no folder beside it to ask
-        folder_to_write(folder, "--out", *RESULTS)
-    with keeping_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs, sought() as read:
+        require_writable_folder(folder, "--out", *RESULTS)
+    with protect_inputs({}, {"--out": (folder, (*RESULTS, "runs"))}) as inputs, record_sought() as read:
         inputs += map(Path, request.scenes)
-        study, runs, report = study_of(request)
-    demand(report)
+        study, runs, report = build_study(request)
+    exit_on_errors(report)
     try:
         run_store = RunStore(folder)
-    except OtherFiles as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`") from None
-    request.keep(folder)
+    except NoSweepFolder as why:
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`") from None
+    request.write(folder)
 
-    chooser = Chooser(runs, widths)
+    chooser = JobChooser(runs, widths)
     finished_measures: dict[str, Any] = {}
     if not again:
         finished_measures = {
@@ -149,72 +149,80 @@ def sweep(
         }
     for job in runs:
         if job.key in finished_measures:
-            chooser.heard(job, finished_measures[job.key])
+            chooser.record_result(job, finished_measures[job.key])
     todo = len(runs) - len(finished_measures)
     if finished_measures and not quiet:
-        say(f"{len(finished_measures)} of {len(runs)} runs were finished before")
-    others = run_store.others(runs) if resume else 0
+        print_note(f"{len(finished_measures)} of {len(runs)} runs were finished before")
+    others = run_store.count_other_runs(runs) if resume else 0
     if others:
-        say(
+        print_note(
             f"{others} runs in {folder} are of files, values or sources of antdsl that are others now, and are not counted",
             err=True,
         )
     processes = min(jobs or cores(), max(todo, 1))
     threads = max(1, cores() // processes)
     if todo and not any_memory and not scheduler:  # a cluster's machines have memory of their own
-        demand_memory(scene_shots(study, request), processes, len(runs))
+        require_memory(open_scene_shots(study, request), processes, len(runs))
     failed: list[Outcome] = []
     files = [path for path in read if path.is_file()]
     where = (
-        cluster(scheduler, tls, no_tls, processes, threads, files) if scheduler else nullcontext(Processes(processes, threads))
+        open_cluster(scheduler, tls, no_tls, processes, threads, files)
+        if scheduler
+        else nullcontext(Processes(processes, threads))
     )
     try:
-        with stoppable(), where as executors, _progress(todo, quiet, bool(request.until_known)) as watch:
-            for outcome in run_all(chooser.needed_jobs(), executors, watch.frame, watch.noted):
-                watch.finished(outcome)
+        with raise_on_sigterm(), where as executors, _show_progress(todo, quiet, bool(request.until_known)) as watch:
+            for outcome in run_all(chooser.needed_jobs(), executors, watch.frame, watch.show_note):
+                watch.show_finished(outcome)
                 if outcome.measures is None:
                     failed.append(outcome)
                 else:
-                    run_store.keep(outcome.job, outcome.measures)
+                    run_store.write_measures(outcome.job, outcome.measures)
                     finished_measures[outcome.job.key] = outcome.measures
-                chooser.heard(outcome.job, outcome.measures)
-                _demand_measures(chooser)
-    except (KeyboardInterrupt, Lost) as why:
-        _tell(run_store, study, chooser, finished_measures, show, plots=False)
+                chooser.record_result(outcome.job, outcome.measures)
+                _require_measures(chooser)
+    except (KeyboardInterrupt, WorkersLost) as why:
+        _write_tables(run_store, study, chooser, finished_measures, show, plots=False)
         finished = f"{len(finished_measures)} of {len(runs)} runs are finished and stored"
-        code, words = (Exit.INPUT_OUTPUT, f"error: {why}") if isinstance(why, Lost) else (code_of(why), "stopped")
-        raise Stop(code, f"{words}: {finished}", "the same command goes on with the others, and so does `--resume`") from None
-    _demand_measures(chooser)
-    _tell(run_store, study, chooser, finished_measures, show, plots)
+        code, words = (
+            (ExitCode.INPUT_OUTPUT, f"error: {why}") if isinstance(why, WorkersLost) else (stop_exit_code(why), "stopped")
+        )
+        raise CommandError(
+            code, f"{words}: {finished}", "the same command goes on with the others, and so does `--resume`"
+        ) from None
+    _require_measures(chooser)
+    _write_tables(run_store, study, chooser, finished_measures, show, plots)
     if failed:
-        raise Stop(Exit.FINDINGS, f"error: {len(failed)} of {len(runs)} runs failed and are not in the table")
+        raise CommandError(ExitCode.FINDINGS, f"error: {len(failed)} of {len(runs)} runs failed and are not in the table")
 
 
-def _demand_measures(chooser: Chooser) -> None:
-    unheard = chooser.unheard()
+def _require_measures(chooser: JobChooser) -> None:
+    unheard = chooser.missing_measures()
     if unheard:
-        raise Stop(Exit.USAGE, f"error: no measure begins with `{unheard[0]}`", f"there are: {', '.join(chooser.heard_of())}")
+        raise CommandError(
+            ExitCode.USAGE, f"error: no measure begins with `{unheard[0]}`", f"there are: {', '.join(chooser.measure_prefixes())}"
+        )
 
 
-def _tell(
-    run_store: RunStore, study: Study, chooser: Chooser, finished_measures: Mapping[str, Any], show: Sequence[str], plots: bool
+def _write_tables(
+    run_store: RunStore, study: Study, chooser: JobChooser, finished_measures: Mapping[str, Any], show: Sequence[str], plots: bool
 ) -> None:
     """Write the table in all its forms, and print it."""
     from antdsl.sweep import rows
-    from antdsl.sweep.figures import available
-    from antdsl.sweep.plots import HOW, draw, draw_factors
+    from antdsl.sweep.figures import is_available
+    from antdsl.sweep.plots import HOW, draw_factors, draw_measures
     from antdsl.sweep.sensitivity import as_csv as effects_csv
     from antdsl.sweep.sensitivity import text as effects_text
     from antdsl.sweep.table import as_csv, as_json, choose_measures, known_text, runs_csv, runs_parquet, text
 
-    results: list[Result] = [(job, finished_measures[job.key]) for job in chooser.counted]
+    results: list[Result] = [(job, finished_measures[job.key]) for job in chooser.counted_jobs]
     if not results:
         return
-    table, known = rows(results), chooser.known()
+    table, known = rows(results), chooser.known_medians()
     measures = choose_measures(table, show)
     if show and not measures:
         names = ", ".join(dict.fromkeys(row.measure.split(".")[0] for row in table))
-        raise Stop(Exit.USAGE, f"error: no measure begins with `{show[0]}`", f"there are: {names}")
+        raise CommandError(ExitCode.USAGE, f"error: no measure begins with `{show[0]}`", f"there are: {names}")
     effects, remarks = study.effects(table, measures)
     lines = text(table, measures)
     words = f"\n{known_text(known)}" if known else ""
@@ -234,30 +242,30 @@ def _tell(
         files["runs.parquet"] = parquet
     for name, content in files.items():
         write_atomically(run_store.folder / name, content)
-    say((_beginning(lines) + words).rstrip("\n"))
+    print_note((_first_lines(lines) + words).rstrip("\n"))
     for remark in remarks:
-        say(f"note: {remark}", err=True)
+        print_note(f"note: {remark}", err=True)
     drawn = []
-    if plots and available() and len(measures) <= MOST_PANELS:
+    if plots and is_available() and len(measures) <= MOST_PANELS:
         if study.ranges:
             draw_factors(study, results, measures, effects, run_store.folder / "factors.png")
             drawn.append("factors.png")
         else:
-            draw(results, measures, run_store.folder / "table.png")
+            draw_measures(results, measures, run_store.folder / "table.png")
             drawn.append("table.png")
-    say(f"in {run_store.folder}: {', '.join([*files, *drawn])}")
-    if plots and not available():
-        say(HOW)
+    print_note(f"in {run_store.folder}: {', '.join([*files, *drawn])}")
+    if plots and not is_available():
+        print_note(HOW)
 
 
-def _beginning(lines: str) -> str:
+def _first_lines(lines: str) -> str:
     """What is printed of a table: its first lines."""
     each = lines.splitlines(keepends=True)
     omitted_count = len(each) - 1 - MOST_LINES
     return "".join(each[: MOST_LINES + 1]) + (f"… and {omitted_count} lines more, in table.txt\n" if omitted_count > 0 else "")
 
 
-class _Watch:
+class _RunProgress:
     """A listener for the progress of runs. It prints a line for each finished run, or nothing."""
 
     def __init__(self, total: int, quiet: bool, at_most: bool) -> None:
@@ -268,25 +276,25 @@ class _Watch:
     def frame(self, job: Job, frame: int) -> None:
         """A run has come to a frame."""
 
-    def finished(self, outcome: Outcome) -> None:
+    def show_finished(self, outcome: Outcome) -> None:
         """A run has ended, one way or the other."""
         self.count += 1
         if outcome.measures is None:
-            say(f"failed: {outcome.job.name}: {outcome.problem}", err=True)
+            print_note(f"failed: {outcome.job.name}: {outcome.problem}", err=True)
         elif not self.quiet:
-            self.say(f"{self.count} {self.of}: {outcome.job.name}, {outcome.measures['frames']} frames")
+            self.print_line(f"{self.count} {self.of}: {outcome.job.name}, {outcome.measures['frames']} frames")
 
-    def noted(self, sentence: str) -> None:
+    def show_note(self, sentence: str) -> None:
         """Print a message about a deviation from the request; once, however many runs send it."""
         if sentence not in self.notes:
             self.notes.add(sentence)
-            say(sentence, err=True)
+            print_note(sentence, err=True)
 
-    def say(self, line: str) -> None:
-        say(line)
+    def print_line(self, line: str) -> None:
+        print_note(line)
 
 
-class _Bar(_Watch):
+class _BarProgress(_RunProgress):
     """One updating line: finished runs, and the frames of those in progress."""
 
     def __init__(self, total: int, at_most: bool, bar: Any) -> None:
@@ -300,28 +308,28 @@ class _Bar(_Watch):
         self.under_way[job.key] = (job.name, frame, (frame - first) / max(last - first, 1))
         self._draw()
 
-    def finished(self, outcome: Outcome) -> None:
+    def show_finished(self, outcome: Outcome) -> None:
         self.under_way.pop(outcome.job.key, None)
-        super().finished(outcome)
+        super().show_finished(outcome)
         self._draw()
 
     def _draw(self) -> None:
         words = " · ".join(f"{name}: {frame}" for name, frame, _ in list(self.under_way.values())[:4])
         self.bar.update(self.task, completed=self.count + sum(share for *_, share in self.under_way.values()), words=words)
 
-    def say(self, line: str) -> None:
+    def print_line(self, line: str) -> None:
         self.bar.console.print(line, highlight=False, markup=False)
 
 
 @contextmanager
-def _progress(total: int, quiet: bool, at_most: bool) -> Iterator[_Watch]:
-    from antdsl.cli.printing.progress import fancy
+def _show_progress(total: int, quiet: bool, at_most: bool) -> Iterator[_RunProgress]:
+    from antdsl.cli.printing.progress import can_draw_bar
 
-    if quiet or not total or not fancy():
-        yield _Watch(total, quiet, at_most)
+    if quiet or not total or not can_draw_bar():
+        yield _RunProgress(total, quiet, at_most)
         return
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
     columns = (BarColumn(24), TaskProgressColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"))
-    with notes(), Progress(*columns, transient=True) as bar:
-        yield _Bar(total, at_most, bar)
+    with note_output(), Progress(*columns, transient=True) as bar:
+        yield _BarProgress(total, at_most, bar)

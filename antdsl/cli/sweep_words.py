@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.exits import CommandError, ExitCode
 
 if TYPE_CHECKING:
     from antdsl.diagnostics import Report
     from antdsl.pipeline import Shot
     from antdsl.sweep import Job
-    from antdsl.sweep.stopping import Width
+    from antdsl.sweep.stopping import WidthGoal
     from antdsl.sweep.study import Study, SweepRequest
 
 
@@ -53,79 +53,79 @@ def load_request(context: typer.Context, out: Path | None) -> SweepRequest:
     try:
         return read_request(out)
     except NoSweep as why:
-        raise Stop(Exit.INPUT_OUTPUT, f"error: {why}", "begin one: `antdsl sweep SCENE… --out DIR`") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "begin one: `antdsl sweep SCENE… --out DIR`") from None
 
 
-def study_of(request: SweepRequest) -> tuple[Study, list[Job], Report]:
+def build_study(request: SweepRequest) -> tuple[Study, list[Job], Report]:
     """Return the points of the design, and all their runs; wrong arguments end the command with a usage error."""
-    from antdsl.cli.arguments import frame_range, grants, pairs
-    from antdsl.sweep import jobs, variations
-    from antdsl.sweep.designs import choose
-    from antdsl.sweep.factors import ends, factors
+    from antdsl.cli.arguments import parse_frame_range, parse_grants, parse_pairs
+    from antdsl.sweep import jobs, make_variations
+    from antdsl.sweep.designs import choose_design
+    from antdsl.sweep.factors import end_points, parse_factors
     from antdsl.sweep.study import Study
 
     scenes = [Path(scene) for scene in dict.fromkeys(request.scenes)]
     for scene in scenes:
         if scene.suffix == ".ant":
             raise typer.BadParameter(f"`{scene}` is a program; name scenes that use it", param_hint="SCENE")
-    sweep_factors, report = factors(pairs(request.vary, "--vary"))
-    _demand_words(report)
-    chosen, report = choose(request.design, sweep_factors, request.points, request.design_seed)
-    _demand_words(report)
+    sweep_factors, report = parse_factors(parse_pairs(request.vary, "--vary"))
+    _require_sound(report)
+    chosen, report = choose_design(request.design, sweep_factors, request.points, request.design_seed)
+    _require_sound(report)
     assert chosen is not None
     job_options: dict[str, Any] = {
-        "frames": frame_range(request.frames),
+        "frames": parse_frame_range(request.frames),
         "until": tuple(request.until_empty),
-        "grants": grants(request.root),
+        "grants": parse_grants(request.root),
     }
-    numbers = _seeds(request.seeds)
+    numbers = _parse_seeds(request.seeds)
     _, report = jobs(
-        variations(scenes, ends(sweep_factors) or [{}]), (), **job_options
+        make_variations(scenes, end_points(sweep_factors) or [{}]), (), **job_options
     )  # each end once, and not each point beyond one
     if not report.ok:
         return Study(chosen, (), ()), [], report
-    run = variations(scenes, chosen.unique_points)
+    run = make_variations(scenes, chosen.unique_points)
     runs, findings = jobs(run, numbers, **job_options)
     report.extend(findings)
     return Study(chosen, tuple(scenes), tuple(run)), runs, report
 
 
-def scene_shots(study: Study, request: SweepRequest) -> list[Shot]:
+def open_scene_shots(study: Study, request: SweepRequest) -> list[Shot]:
     """Return each scene of a sweep, opened with its own values; the runs differ in values only, not in things."""
-    from antdsl.cli.arguments import grants
+    from antdsl.cli.arguments import parse_grants
     from antdsl.pipeline import Choices, open_scene
 
-    shots = (open_scene(scene, Choices(grants(request.root)), thorough=False)[0] for scene in study.scenes)
+    shots = (open_scene(scene, Choices(parse_grants(request.root)), thorough=False)[0] for scene in study.scenes)
     return [shot for shot in shots if shot is not None]
 
 
-def _demand_words(report: Report) -> None:
+def _require_sound(report: Report) -> None:
     from antdsl.cli.printing.reports import show
 
     if not report.ok:
         show(report, to_stderr=True)
-        raise Stop(Exit.USAGE)
+        raise CommandError(ExitCode.USAGE)
 
 
-def widths_of(request: SweepRequest) -> list[Width]:
+def parse_widths(request: SweepRequest) -> list[WidthGoal]:
     """Return the widths of `NAME=WIDTH` words, if there are enough seeds for any."""
-    from antdsl.cli.arguments import pairs
-    from antdsl.sweep.stopping import Width, least_runs
+    from antdsl.cli.arguments import parse_pairs
+    from antdsl.sweep.stopping import WidthGoal, least_runs
 
     widths = []
-    for name, text in pairs(request.until_known, "--until-known").items():
+    for name, text in parse_pairs(request.until_known, "--until-known").items():
         number = re.fullmatch(r"([0-9]*\.?[0-9]+)\s*(%?)", text, re.ASCII)
         if number is None or not float(number[1]):
             words = f"`{text}` is no width: write `{name}=0.5`, or a share of the median: `{name}=10%`"
             raise typer.BadParameter(words, param_hint="--until-known")
-        widths.append(Width(name, float(number[1]) * (0.01 if number[2] else 1.0), bool(number[2])))
-    if widths and len(_seeds(request.seeds)) < least_runs():
+        widths.append(WidthGoal(name, float(number[1]) * (0.01 if number[2] else 1.0), bool(number[2])))
+    if widths and len(_parse_seeds(request.seeds)) < least_runs():
         words = f"no median is known of fewer than {least_runs()} runs: write `--seeds 50`, which is how many at most"
         raise typer.BadParameter(words, param_hint="--until-known")
     return widths
 
 
-def _seeds(text: str) -> range:
+def _parse_seeds(text: str) -> range:
     match = re.fullmatch(r"([0-9]{1,6})(?:\.\.([0-9]{1,6}))?", text.strip())
     first, last = (1, int(match[1])) if match and match[2] is None else (int(match[1]), int(match[2])) if match else (1, 0)
     if not match or last < first:

@@ -9,9 +9,15 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.destinations import file_to_write, folder_to_write, keeping_inputs, put, words_aside
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.printing.messages import say
+from antdsl.cli.destinations import (
+    protect_inputs,
+    redirect_messages,
+    require_writable_file,
+    require_writable_folder,
+    write_result,
+)
+from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.printing.messages import print_note
 from antdsl.cli.run import Backend
 
 if TYPE_CHECKING:
@@ -43,49 +49,57 @@ def test(
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but failures and how many there are."),
 ) -> None:
     """Run the specs of programs and say what was not as expected."""
-    from antdsl.cli.arguments import grants
-    from antdsl.cli.printing.reports import show, verdict
-    from antdsl.cli.run import at_once
+    from antdsl.cli.arguments import parse_grants
+    from antdsl.cli.printing.reports import report_exit_code, show
+    from antdsl.cli.run import choose_threads
     from antdsl.files import find_files
     from antdsl.runtime import Options
-    from antdsl.specs import Work, cases, run_cases
-    from antdsl.specs.cases import settle
+    from antdsl.specs import Work, collect_cases, run_cases
+    from antdsl.specs.cases import settle_verdicts
     from antdsl.specs.failure_cache import FailureSaver
     from antdsl.specs.golden.comparing import Goldens
     from antdsl.specs.golden.recorded import golden_path
     from antdsl.specs.reports import as_json, as_junit
-    from antdsl.specs.text_report import counted, covered, failed, golden, one_line, settled, uncovered
+    from antdsl.specs.text_report import (
+        describe_counts,
+        describe_coverage,
+        describe_failed_case,
+        describe_golden,
+        describe_uncovered,
+        describe_verdict,
+        one_line,
+    )
 
-    file_to_write(junit, "--junit")
-    file_to_write(json, "--json")
-    folder_to_write(keep, "--keep")
-    with keeping_inputs({"--junit": junit, "--json": json}) as inputs:
-        runs, report = cases(paths, grants=grants(root), seeds=seeds, named=named)
+    require_writable_file(junit, "--junit")
+    require_writable_file(json, "--json")
+    require_writable_folder(keep, "--keep")
+    with protect_inputs({"--junit": junit, "--json": json}) as inputs:
+        runs, report = collect_cases(paths, grants=parse_grants(root), seeds=seeds, named=named)
         inputs += [*find_files(paths)[0], *(golden_path(case.scene) for run in runs for case in run.cases)]
     show(report, to_stderr=True)
     everything = [case for run in runs for case in run.cases]
     if not everything and report.ok:
         what = f"no spec here has `{named}` in its name" if named else "there is no spec here"
-        raise Stop(Exit.USAGE, f"error: {what}", 'write one in a program: `spec "…" on "scene.yaml" { always: … }`')
+        raise CommandError(ExitCode.USAGE, f"error: {what}", 'write one in a program: `spec "…" on "scene.yaml" { always: … }`')
 
-    with words_aside(junit, json) as output:
+    with redirect_messages(junit, json) as output:
         progress = _Progress(quiet, len(runs))
 
         def report_case(case: Case) -> None:
             progress.clear()
             if case.failures:
-                say(failed(case))
+                print_note(describe_failed_case(case))
             elif not quiet:
-                say(one_line(case))
+                print_note(one_line(case))
 
-        options = Options(backend=backend.value, threads=at_once(threads, quiet))
-        failure_saver = None if no_keep else FailureSaver(keep, grants(root), options)
+        options = Options(backend=backend.value, threads=choose_threads(threads, quiet))
+        failure_saver = None if no_keep else FailureSaver(keep, parse_grants(root), options)
         work = Work(options, failure_saver=failure_saver, goldens=Goldens(update), report_case=report_case)
         coverage, goldens = work.coverage, work.goldens
         assert goldens is not None
         stopped = False
         try:
-            with _ended_between_frames() as ask:
+            with _interrupt_between_frames() as ask:
 
                 def frame(run: Run, number: int, last: int) -> None:
                     ask()
@@ -98,30 +112,30 @@ def test(
             stopped = True
             progress.clear()
         for note in work.messages:
-            say(note, err=True)
+            print_note(note, err=True)
         show(goldens.report, to_stderr=True)
         report.extend(goldens.report)
-        verdicts = settle(everything)
-        lines = [settled(verdict) for verdict in verdicts]
-        lines += [golden(result) for result in goldens.results if not quiet or result.outcome == "differs"]
-        lines.append(counted(everything, len(report.errors), goldens.results))
-        lines += [] if quiet else [covered(coverage)] * whole + [uncovered(coverage)]
+        verdicts = settle_verdicts(everything)
+        lines = [describe_verdict(verdict) for verdict in verdicts]
+        lines += [describe_golden(result) for result in goldens.results if not quiet or result.outcome == "differs"]
+        lines.append(describe_counts(everything, len(report.errors), goldens.results))
+        lines += [] if quiet else [describe_coverage(coverage)] * whole + [describe_uncovered(coverage)]
         low = under is not None and not stopped and coverage.share * 100 < under
         lines += [f"{coverage.share * 100:.4g} % of states and changes were met, less than {under:g} %"] if low else []
-        say("\n".join(line for line in lines if line))
-        put(junit, as_junit(everything, report, goldens.results).encode(), output)
-        put(json, as_json(everything, coverage, report, goldens.results).encode(), output)
+        print_note("\n".join(line for line in lines if line))
+        write_result(junit, as_junit(everything, report, goldens.results).encode(), output)
+        write_result(json, as_json(everything, coverage, report, goldens.results).encode(), output)
     if stopped:
-        raise Stop(Exit.INTERRUPTED, "stopped by Ctrl-C; the specs above were finished")
+        raise CommandError(ExitCode.INTERRUPTED, "stopped by Ctrl-C; the specs above were finished")
     differ = any(result.outcome == "differs" for result in goldens.results)
     if low or differ or any(case.outcome == "failed" for case in everything):
-        raise Stop(Exit.FINDINGS)
+        raise CommandError(ExitCode.FINDINGS)
     if not report.ok:
-        raise Stop(verdict(report))
+        raise CommandError(report_exit_code(report))
 
 
 @contextmanager
-def _ended_between_frames() -> Iterator[Callable[[], None]]:
+def _interrupt_between_frames() -> Iterator[Callable[[], None]]:
     """Yield a function to call between frames: it raises KeyboardInterrupt after Ctrl-C. An immediate interrupt could be
     swallowed by the library that is running. A second Ctrl-C raises immediately all the same."""
     import signal

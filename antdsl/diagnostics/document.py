@@ -44,10 +44,10 @@ def _entry(diagnostic: Diagnostic) -> dict[str, Any]:
 
 
 def _range(span: Span) -> dict[str, Any]:
-    return {"filename": span.source.path, "start": _place(span.source, span.start), "end": _place(span.source, span.end)}
+    return {"filename": span.source.path, "start": _position(span.source, span.start), "end": _position(span.source, span.end)}
 
 
-def _place(source: Source, offset: int) -> dict[str, int]:
+def _position(source: Source, offset: int) -> dict[str, int]:
     """Return line and column, in characters from 1, and byte, in UTF-8 bytes from 0."""
     line, column = source.line_column(offset)
     byte = offset if source.text.isascii() else len(source.text[:offset].encode("utf-8", "surrogatepass"))

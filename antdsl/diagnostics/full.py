@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from antdsl.diagnostics.model import Diagnostic
-from antdsl.diagnostics.places import area, safe, safe_line, width
+from antdsl.diagnostics.places import escape_line, escape_text, line_range, width
 from antdsl.source import Span
 
 _WIDEST = 120  # of a source line; a longer one is shown around the place
@@ -19,23 +19,23 @@ def full(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
 
 
 def _block(diagnostic: Diagnostic) -> str:
-    lines = [f"{diagnostic.severity}[{diagnostic.code}]: {safe(diagnostic.message)}"]
+    lines = [f"{diagnostic.severity}[{diagnostic.code}]: {escape_text(diagnostic.message)}"]
     spans = [span for span in (diagnostic.span, *(label.span for label in diagnostic.labels)) if span is not None]
-    margin = max((len(str(area(span).line)) for span in spans), default=1)
+    margin = max((len(str(line_range(span).line)) for span in spans), default=1)
     if diagnostic.span is not None:
         lines += _snippet(diagnostic.span, margin, "-->", "^", "")
     for label in diagnostic.labels:
         lines += _snippet(label.span, margin, ":::", "-", label.text)
     if diagnostic.help:
-        lines.append(f"{' ' * margin} = help: {safe(diagnostic.help)}")
+        lines.append(f"{' ' * margin} = help: {escape_text(diagnostic.help)}")
     return "\n".join(lines) + "\n"
 
 
 def _snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -> list[str]:
     """The line of a span's start, with the span marked up to that line's end."""
-    place = area(span)
+    place = line_range(span)
     bar = f"{' ' * margin} |"
-    head = f"{' ' * margin}{arrow} {safe(place.path)}:{place.line}:{place.column}"
+    head = f"{' ' * margin}{arrow} {escape_text(place.path)}:{place.line}:{place.column}"
     line = span.source.line_text(place.line)
     if not line and not span.text:
         return [head]
@@ -43,16 +43,16 @@ def _snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -> list[
     end = min(len(line), start + max(1, span.end - span.start))
     left_text, marked, right_text = _window(line, start, end)
     marks = mark * max(1, width(marked))
-    under = f"{bar} {' ' * width(left_text)}{marks} {safe(text)}".rstrip()
+    under = f"{bar} {' ' * width(left_text)}{marks} {escape_text(text)}".rstrip()
     return [head, bar, f"{place.line:>{margin}} | {left_text}{marked}{right_text}".rstrip(), under]
 
 
 def _window(line: str, start: int, end: int) -> tuple[str, str, str]:
     """Return the part of a line around a place, as three texts: before the place, the place, after it."""
     if len(line) <= _WIDEST:
-        return safe_line(line[:start]), safe_line(line[start:end]), safe_line(line[end:])
+        return escape_line(line[:start]), escape_line(line[start:end]), escape_line(line[end:])
     low = max(0, start - _WIDEST // 3)
     high = min(len(line), low + _WIDEST)
     end = min(end, high)
-    left_text = ("…" if low else "") + safe_line(line[low:start])
-    return left_text, safe_line(line[start:end]), safe_line(line[end:high]) + ("…" if high < len(line) else "")
+    left_text = ("…" if low else "") + escape_line(line[low:start])
+    return left_text, escape_line(line[start:end]), escape_line(line[end:high]) + ("…" if high < len(line) else "")

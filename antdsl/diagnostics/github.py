@@ -6,11 +6,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from antdsl.diagnostics.model import Diagnostic
-from antdsl.diagnostics.places import area, by_weight, safe
+from antdsl.diagnostics.places import escape_text, line_range, severity_rank
 
 
 def github(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
-    ordered = sorted(diagnostics, key=lambda diagnostic: by_weight(diagnostic.severity))
+    ordered = sorted(diagnostics, key=lambda diagnostic: severity_rank(diagnostic.severity))
     lines = [_command(diagnostic) for diagnostic in ordered]
     if omitted_count:
         lines.append(f"::notice title=antdsl::{omitted_count} more, see the SARIF output")
@@ -18,11 +18,16 @@ def github(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
 
 
 def _command(diagnostic: Diagnostic) -> str:
-    text = safe(diagnostic.message) + (f"\nhelp: {safe(diagnostic.help)}" if diagnostic.help else "")
+    text = escape_text(diagnostic.message) + (f"\nhelp: {escape_text(diagnostic.help)}" if diagnostic.help else "")
     properties = {"title": diagnostic.code}
     if diagnostic.span is not None:
-        place = area(diagnostic.span)
-        properties = {"file": safe(place.path), "line": str(place.line), "col": str(place.column), "endLine": str(place.end_line)}
+        place = line_range(diagnostic.span)
+        properties = {
+            "file": escape_text(place.path),
+            "line": str(place.line),
+            "col": str(place.column),
+            "endLine": str(place.end_line),
+        }
         if place.line == place.end_line:
             properties["endColumn"] = str(place.end_column)
         properties["title"] = diagnostic.code

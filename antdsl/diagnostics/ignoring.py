@@ -25,7 +25,7 @@ class Ignore:
     reason: str
 
 
-def comments(source: Source) -> Iterator[Ignore]:
+def find_ignores(source: Source) -> Iterator[Ignore]:
     """The comments of a program or a scene that ignore something. One inside quotes is text."""
     for match in _COMMENT.finditer(source.text):
         number = source.line_column(match.start(1))[0]
@@ -37,11 +37,11 @@ def comments(source: Source) -> Iterator[Ignore]:
             (part.group().strip(), Span(source, at + part.start(), at + part.end()))
             for part in re.finditer(r"[^\s,](?:[^,]*[^\s,])?", match[2])
         ]
-        line = number if prefix.strip() else _below(source, number)
+        line = number if prefix.strip() else _next_code_line(source, number)
         yield Ignore(Span(source, match.start(1), match.end(1)), line, tuple(codes), match[3].strip())
 
 
-def _below(source: Source, number: int) -> int:
+def _next_code_line(source: Source, number: int) -> int:
     """The next line that has more than a comment."""
     last = source.line_column(len(source.text))[0]
     while number < last:
@@ -56,12 +56,12 @@ def without_ignored(report: Report) -> Report:
     """Return the report without the warnings that a comment ignores."""
     known = {d.span.source for d in report.diagnostics if d.span is not None and d.severity == "warning"}
     ignored_places = {
-        (source.path, ignore.line, code) for source in known for ignore in comments(source) for code, _ in ignore.codes
+        (source.path, ignore.line, code) for source in known for ignore in find_ignores(source) for code, _ in ignore.codes
     }
-    return Report([d for d in report.diagnostics if not _ignored(d, ignored_places)]) if ignored_places else report
+    return Report([d for d in report.diagnostics if not _is_ignored(d, ignored_places)]) if ignored_places else report
 
 
-def _ignored(diagnostic: Diagnostic, ignored_places: set[tuple[str, int, str]]) -> bool:
+def _is_ignored(diagnostic: Diagnostic, ignored_places: set[tuple[str, int, str]]) -> bool:
     if diagnostic.span is None or diagnostic.severity != "warning":
         return False
     return (
@@ -71,7 +71,7 @@ def _ignored(diagnostic: Diagnostic, ignored_places: set[tuple[str, int, str]]) 
     ) in ignored_places
 
 
-def judged(
+def apply_ignores(
     report: Report, sources: Iterable[Source], *, strict: bool = False, sound: bool | None = None, meshes: bool = True
 ) -> Report:
     """Return `without_ignored`, with warnings about comments that give no reason or ignore nothing. `sources` are all checked
@@ -83,7 +83,7 @@ def judged(
     warned_places = {(d.span.source.path, d.span.source.line_column(d.span.start)[0], d.code) for d in every if d.span}
     result = without_ignored(report)
     for source in sources:
-        for ignore in comments(source):
+        for ignore in find_ignores(source):
             if len(ignore.reason) < 3:
                 result.warning(
                     "ignore-without-reason", "this comment does not say why", ignore.span, "write the reason after the bracket"
@@ -91,13 +91,13 @@ def judged(
             for code, span in ignore.codes:
                 looked = code not in CODES or (sound and code not in unknown)
                 if looked and (source.path, ignore.line, code) not in warned_places:
-                    _idle(result, ignore, code, span)
+                    _warn_idle(result, ignore, code, span)
             if not ignore.codes:
                 result.warning("ignored-nothing", "this comment names no code", ignore.span, "write `ignore[CODE] why`")
     return result
 
 
-def _idle(report: Report, ignore: Ignore, code: str, span: Span) -> None:
+def _warn_idle(report: Report, ignore: Ignore, code: str, span: Span) -> None:
     near = nearest_name(code, CODES)
     if code not in CODES:
         report.warning("ignored-nothing", f"no code `{code}`", span, f"did you mean `{near}`?" if near else "delete it")

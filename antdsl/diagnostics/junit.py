@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 from antdsl.diagnostics.full import full
 from antdsl.diagnostics.model import Diagnostic
-from antdsl.diagnostics.places import area, safe
+from antdsl.diagnostics.places import escape_text, line_range
 
 
 def junit(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
@@ -28,11 +28,11 @@ def junit(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
 def _case(suite: ElementTree.Element, diagnostic: Diagnostic) -> None:
     where, name = "antdsl", diagnostic.code
     if diagnostic.span is not None:
-        place = area(diagnostic.span)
-        where, name = safe(place.path), f"{diagnostic.code} {place.line}:{place.column}"
+        place = line_range(diagnostic.span)
+        where, name = escape_text(place.path), f"{diagnostic.code} {place.line}:{place.column}"
     case = ElementTree.SubElement(suite, "testcase", classname=where, name=name)
     text = full([diagnostic], 0)
     if diagnostic.severity == "error":
-        ElementTree.SubElement(case, "failure", message=safe(diagnostic.message), type=diagnostic.code).text = text
+        ElementTree.SubElement(case, "failure", message=escape_text(diagnostic.message), type=diagnostic.code).text = text
     else:
         ElementTree.SubElement(case, "system-out").text = text

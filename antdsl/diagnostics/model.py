@@ -68,7 +68,7 @@ class Diagnostic:
                 object.__setattr__(self, name, shorten_values(text))
 
 
-def _key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
+def _diagnostic_key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
     """Return a key that uses the file's name and not its text: a file that many scenes extend is read once for each of them."""
     span = diagnostic.span
     if span is None:
@@ -79,7 +79,7 @@ def _key(diagnostic: Diagnostic) -> tuple[str | int, ...]:
 _INSTEAD = re.compile("(?:did you mean|write) `([^`…]+)`\\??")
 
 
-def replacement(message: str, span: Span | None, help: str | None) -> Fix | None:
+def find_fix(message: str, span: Span | None, help: str | None) -> Fix | None:
     """Return the fix for a span if the help is only the replacement for the text that the message names. Return None if the help
     says more, or the span covers something else."""
     match = _INSTEAD.fullmatch(help or "")
@@ -96,10 +96,10 @@ class Report:
     _known_keys: set[tuple[str | int, ...]] = field(init=False, repr=False, compare=False, default_factory=set)
 
     def __post_init__(self) -> None:
-        self._known_keys.update(_key(d) for d in self.diagnostics)
+        self._known_keys.update(_diagnostic_key(d) for d in self.diagnostics)
 
     def add(self, diagnostic: Diagnostic) -> None:
-        key = _key(diagnostic)
+        key = _diagnostic_key(diagnostic)
         if key not in self._known_keys:
             self._known_keys.add(key)
             self.diagnostics.append(diagnostic)
@@ -107,22 +107,22 @@ class Report:
     def answer(self, diagnostics: Iterable[Diagnostic]) -> None:
         """Drop these warnings from the report, also if they are added later."""
         warnings = list(diagnostics)
-        keys = {_key(d) for d in warnings}
+        keys = {_diagnostic_key(d) for d in warnings}
         self.answered += warnings
-        self.diagnostics = [d for d in self.diagnostics if _key(d) not in keys]
+        self.diagnostics = [d for d in self.diagnostics if _diagnostic_key(d) not in keys]
         self._known_keys |= keys
 
     def error(self, code: str, message: str, span: Span | None, help: str | None = None, **details: object) -> None:
-        self._say("error", code, message, span, help, details)
+        self._add_complaint("error", code, message, span, help, details)
 
     def warning(self, code: str, message: str, span: Span | None, help: str | None = None, **details: object) -> None:
-        self._say("warning", code, message, span, help, details)
+        self._add_complaint("warning", code, message, span, help, details)
 
-    def _say(
+    def _add_complaint(
         self, severity: Severity, code: str, message: str, span: Span | None, help: str | None, details: dict[str, object]
     ) -> None:
         if details.get("fix") is None:
-            details["fix"] = replacement(message, span, help)
+            details["fix"] = find_fix(message, span, help)
         self.add(Diagnostic(code, message, span, severity, help, **details))  # type: ignore[arg-type]
 
     def extend(self, others: Report | Iterable[Diagnostic]) -> None:

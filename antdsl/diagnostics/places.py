@@ -12,17 +12,17 @@ from antdsl.source import Span
 _UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028\u2029\u202a-\u202e\u2060-\u2069\ufeff\ufffe\uffff\ud800-\udfff]")
 
 
-def safe(text: str) -> str:
+def escape_text(text: str) -> str:
     """The text with every control character written out, such as `\\x1b`."""
-    return _UNSAFE.sub(lambda match: _written(match.group()), text)
+    return _UNSAFE.sub(lambda match: _escape_character(match.group()), text)
 
 
-def safe_line(text: str) -> str:
+def escape_line(text: str) -> str:
     """Return the same for a line of source: each tab becomes one space, so that columns stay correct."""
-    return safe(text.replace("\t", " "))
+    return escape_text(text.replace("\t", " "))
 
 
-def _written(character: str) -> str:
+def _escape_character(character: str) -> str:
     code = ord(character)
     return f"\\x{code:02x}" if code < 0x100 else f"\\u{code:04x}"
 
@@ -33,7 +33,7 @@ def width(text: str) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class Area:
+class LineRange:
     """A span in lines and columns, counted from 1; the end column is the one after the last character."""
 
     path: str
@@ -43,12 +43,12 @@ class Area:
     end_column: int
 
 
-def area(span: Span) -> Area:
+def line_range(span: Span) -> LineRange:
     line, column = span.source.line_column(span.start)
     end_line, end_column = span.source.line_column(max(span.start, span.end))
-    return Area(span.source.path, line, column, end_line, end_column)
+    return LineRange(span.source.path, line, column, end_line, end_column)
 
 
-def by_weight(severity: str) -> int:
+def severity_rank(severity: str) -> int:
     """Sorts errors before warnings."""
     return 0 if severity == "error" else 1

@@ -10,7 +10,7 @@ from antdsl.diagnostics.full import full
 from antdsl.diagnostics.github import github
 from antdsl.diagnostics.junit import junit
 from antdsl.diagnostics.model import Diagnostic, Report
-from antdsl.diagnostics.places import area, safe
+from antdsl.diagnostics.places import escape_text, line_range
 from antdsl.diagnostics.sarif import sarif
 
 
@@ -22,11 +22,11 @@ def concise(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:
 
 
 def _line(diagnostic: Diagnostic) -> str:
-    text = f"{diagnostic.severity}[{diagnostic.code}]: {safe(diagnostic.message)}"
+    text = f"{diagnostic.severity}[{diagnostic.code}]: {escape_text(diagnostic.message)}"
     if diagnostic.span is None:
         return text
-    place = area(diagnostic.span)
-    return f"{safe(place.path)}:{place.line}:{place.column}: {text}"
+    place = line_range(diagnostic.span)
+    return f"{escape_text(place.path)}:{place.line}:{place.column}: {text}"
 
 
 # Each takes the complaints to show, in order, and the number of those that are left out.

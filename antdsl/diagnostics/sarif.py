@@ -12,7 +12,7 @@ from urllib.parse import quote
 from antdsl import __version__
 from antdsl.diagnostics.codes import CODES
 from antdsl.diagnostics.model import Diagnostic
-from antdsl.diagnostics.places import area
+from antdsl.diagnostics.places import line_range
 from antdsl.resources import code_page
 from antdsl.source import Span
 
@@ -66,7 +66,7 @@ def _result(diagnostic: Diagnostic, rule: int, fingerprint_counts: Counter[str])
 
 
 def _location(span: Span) -> dict[str, Any]:
-    place = area(span)
+    place = line_range(span)
     region = {"startLine": place.line, "startColumn": place.column, "endLine": place.end_line, "endColumn": place.end_column}
     uri = quote(place.path.replace("\\", "/").removeprefix("./"))
     return {"physicalLocation": {"artifactLocation": {"uri": uri}, "region": region}}
@@ -75,7 +75,7 @@ def _location(span: Span) -> dict[str, Any]:
 def _fingerprint(diagnostic: Diagnostic, span: Span, fingerprint_counts: Counter[str]) -> str:
     """Return a fingerprint that stays equal when lines above are added: from the code and the line's text, with a counter for
     repetitions."""
-    line = span.source.line_text(area(span).line).strip()
+    line = span.source.line_text(line_range(span).line).strip()
     digest = hashlib.sha256(f"{diagnostic.code}\0{span.source.path}\0{line}".encode("utf-8", "surrogatepass")).hexdigest()[:16]
     fingerprint_counts[digest] += 1
     return f"{digest}:{fingerprint_counts[digest]}"

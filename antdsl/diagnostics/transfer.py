@@ -14,9 +14,12 @@ from antdsl.source import Source, Span
 def encode_reports(reports: Mapping[Path, Report], sources: Iterable[Source]) -> bytes:
     """Return the reports of files, and further texts, in order."""
     numbers: dict[Source, int] = {}
-    texts = [_number(source, numbers) for source in sources]
+    texts = [_source_number(source, numbers) for source in sources]
     entries = [
-        [str(file), *([_encode(diagnostic, numbers) for diagnostic in part] for part in (report.diagnostics, report.answered))]
+        [
+            str(file),
+            *([_encode_diagnostic(diagnostic, numbers) for diagnostic in part] for part in (report.diagnostics, report.answered)),
+        ]
         for file, report in reports.items()
     ]
     table = [[source.path, source.text, source.part] for source in numbers]
@@ -29,7 +32,7 @@ def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
         document = json.loads(data)
         table = [Source(*entry) for entry in document["table"]]
         reports = {
-            Path(file): Report(*([_decode(entry, table) for entry in entries] for entries in parts))
+            Path(file): Report(*([_decode_diagnostic(entry, table) for entry in entries] for entries in parts))
             for file, *parts in document["reports"]
         }
         return reports, [table[index] for index in document["sources"]]
@@ -37,35 +40,35 @@ def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
         raise ValueError("these are no reports") from problem
 
 
-def _number(source: Source, numbers: dict[Source, int]) -> int:
+def _source_number(source: Source, numbers: dict[Source, int]) -> int:
     """The index of a text in the table. A new text is added."""
     return numbers.setdefault(source, len(numbers))
 
 
-def _encode(diagnostic: Diagnostic, numbers: dict[Source, int]) -> list[Any]:
+def _encode_diagnostic(diagnostic: Diagnostic, numbers: dict[Source, int]) -> list[Any]:
     d = diagnostic
-    labels = [[_place(label.span, numbers), label.text] for label in d.labels]
-    fix = d.fix and [_place(d.fix.span, numbers), d.fix.text]
-    return [d.code, d.message, d.span and _place(d.span, numbers), d.severity, d.help, labels, fix]
+    labels = [[_encode_span(label.span, numbers), label.text] for label in d.labels]
+    fix = d.fix and [_encode_span(d.fix.span, numbers), d.fix.text]
+    return [d.code, d.message, d.span and _encode_span(d.span, numbers), d.severity, d.help, labels, fix]
 
 
-def _place(span: Span, numbers: dict[Source, int]) -> list[int]:
-    return [_number(span.source, numbers), span.start, span.end]
+def _encode_span(span: Span, numbers: dict[Source, int]) -> list[int]:
+    return [_source_number(span.source, numbers), span.start, span.end]
 
 
-def _decode(entry: list[Any], table: list[Source]) -> Diagnostic:
+def _decode_diagnostic(entry: list[Any], table: list[Source]) -> Diagnostic:
     code, message, place, severity, help_, labels, fix = entry
     return Diagnostic(
         code,
         message,
-        place and _span(place, table),
+        place and _decode_span(place, table),
         severity,
         help_,
-        tuple(Label(_span(label_place, table), text) for label_place, text in labels),
-        fix and Fix(_span(fix[0], table), fix[1]),
+        tuple(Label(_decode_span(label_place, table), text) for label_place, text in labels),
+        fix and Fix(_decode_span(fix[0], table), fix[1]),
     )
 
 
-def _span(place: list[int], table: list[Source]) -> Span:
+def _decode_span(place: list[int], table: list[Source]) -> Span:
     index, start, end = place
     return Span(table[index], start, end)

@@ -10,6 +10,6 @@ answers before it creates more. The caller stores the answers: a task may run tw
 once."""
 
 from antdsl.executors.processes import Processes
-from antdsl.executors.tasks import Answered, Executors, Lost, Refused, Task, Worker, run_tasks
+from antdsl.executors.tasks import Executors, Task, TaskOutcome, TaskRefused, Worker, WorkersLost, run_tasks
 
-__all__ = ["Answered", "Executors", "Lost", "Processes", "Refused", "Task", "Worker", "run_tasks"]
+__all__ = ["Executors", "Processes", "Task", "TaskOutcome", "TaskRefused", "Worker", "WorkersLost", "run_tasks"]

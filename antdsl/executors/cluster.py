@@ -20,9 +20,17 @@ import dask
 from distributed import Client, KilledWorker, LocalCluster, Security
 
 from antdsl.child_processes import isolate
-from antdsl.executors.cluster_worker import Project, forget, identity, other_sources, perform_there, read_part, sees
+from antdsl.executors.cluster_worker import (
+    Project,
+    explain_mismatch,
+    perform_on_worker,
+    read_part,
+    remove_results,
+    sees_file,
+    worker_identity,
+)
 from antdsl.executors.parcel import FileBundle, VisibleFile, pack
-from antdsl.executors.tasks import LOOK, LOOPBACK, TLS_FILES, Lost, Refused, Task
+from antdsl.executors.tasks import LOOK, LOOPBACK, TLS_FILES, Task, TaskRefused, WorkersLost
 from antdsl.outputs.provenance import sources
 
 _ROLES = ("scheduler", "worker", "nanny")
@@ -33,7 +41,7 @@ _ALL_LOST = "each worker that it was given to was lost"
 _SENTENCE_LENGTH = 2000  # characters of one sentence of a worker
 
 
-def security_of(folder: Path) -> Security:
+def load_security(folder: Path) -> Security:
     """Return mutual TLS by the files of a folder: peers without a certificate of the same authority are rejected."""
     ca, cert, key = (str(folder / name) for name in TLS_FILES)
     return Security(require_encryption=True, tls_ca_file=ca, tls_client_cert=cert, tls_client_key=key)
@@ -64,7 +72,7 @@ def local_cluster(workers: int, threads: int) -> Iterator[tuple[str, Security]]:
 
 
 @contextmanager
-def connected(
+def connect(
     address: str, security: Security | None, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Cluster]:
     """Connect to a cluster. Its workers have received the files, or all see one file (`visible_file`) and are assumed to see the
@@ -75,12 +83,12 @@ def connected(
         try:
             client = stack.enter_context(Client(address, security=security, timeout=_CONNECT, set_as_default=False))
         except (OSError, ValueError) as why:
-            raise Lost(f"no scheduler answers at {address}: {str(why).splitlines()[0]}") from None
+            raise WorkersLost(f"no scheduler answers at {address}: {str(why).splitlines()[0]}") from None
         shared = visible_file is not None and all(
-            saw is True for saw in client.run(sees, visible_file, on_error="return").values()
+            saw is True for saw in client.run(sees_file, visible_file, on_error="return").values()
         )
         cluster = Cluster(client, pack([] if shared else files), visible_file if shared else None)
-        cluster.begin()
+        cluster.send_files()
         yield cluster
 
 
@@ -104,39 +112,39 @@ class Cluster:
         self._in_vain = 0  # times that all tasks were resubmitted since the last answer
         self._lock = threading.RLock()
 
-    def begin(self) -> None:
+    def send_files(self) -> None:
         """Send the files to the existing workers, and to those that join later."""
         client = self._client
         client.subscribe_topic(self.name, lambda event: self._heard.put(event[1]))
-        worker_identities = client.run(identity, on_error="return")
+        worker_identities = client.run(worker_identity, on_error="return")
         unfit = {}
         for address, has in worker_identities.items():
             if isinstance(has, BaseException):
                 unfit[address] = f"worker {address} cannot run this antdsl, so it is given nothing: {has}"
             elif has["sources"] != sources():
-                unfit[address] = other_sources(address, has, sources())
+                unfit[address] = explain_mismatch(address, has, sources())
         if worker_identities and len(unfit) == len(worker_identities):
-            raise Refused("\n".join(unfit.values()))
+            raise TaskRefused("\n".join(unfit.values()))
         for words in unfit.values():
             self._told.append(words)
         with suppress(ImportError, AttributeError):  # by a worker that has been reported
             client.register_plugin(self._project)
         until = time.monotonic() + _FIRST
         while worker_identities and not self._fit and time.monotonic() < until:
-            self._listen()
+            self._read_messages()
             time.sleep(0.02)
         self._there = set(self._fit)
         if not worker_identities:
             self._told.append("no worker has come to the scheduler yet; it goes on once one does")
 
     @property
-    def at_once(self) -> int:
+    def task_capacity(self) -> int:
         """Return two tasks for each worker, so that no worker waits for its next task."""
         return 2 * max(len(self._there), 1)
 
     def start(self) -> Executor:
         if self._client.status != "running":
-            raise Lost("the scheduler is gone")
+            raise WorkersLost("the scheduler is gone")
         executor: Executor = self._client.get_executor(pure=True, resources={self.name: 1})
         return executor
 
@@ -144,17 +152,17 @@ class Cluster:
         self._keys[place] = task.key
         self._frames.pop(task.key, None)
         outer: Future[str] = Future()
-        self._give(executor, outer, task)
+        self._submit_task(executor, outer, task)
         return outer
 
-    def _give(self, executor: Executor, outer: Future[str], task: Task) -> None:
+    def _submit_task(self, executor: Executor, outer: Future[str], task: Task) -> None:
         with self._lock:
-            inner = executor.submit(perform_there, task.work, json.dumps(task.document), self.name, task.key, self._attempt)
+            inner = executor.submit(perform_on_worker, task.work, json.dumps(task.document), self.name, task.key, self._attempt)
             self._given[outer] = task, inner
             self._executor = executor
-        inner.add_done_callback(lambda finished_future: self._ended(outer, finished_future))
+        inner.add_done_callback(lambda finished_future: self._finish_task(outer, finished_future))
 
-    def _ended(self, outer: Future[str], inner: Future[str]) -> None:
+    def _finish_task(self, outer: Future[str], inner: Future[str]) -> None:
         with self._lock:
             if self._given.get(outer, (None, None))[1] is not inner:
                 return  # it was resubmitted
@@ -164,7 +172,7 @@ class Cluster:
             outer.cancel()
             outer.set_running_or_notify_cancel()
         elif (why := inner.exception()) is not None:
-            ended = Refused(_ALL_LOST) if isinstance(why, KilledWorker) else why
+            ended = TaskRefused(_ALL_LOST) if isinstance(why, KilledWorker) else why
             outer.set_exception(ended)
         else:
             outer.set_result(inner.result())
@@ -172,15 +180,15 @@ class Cluster:
     def frame(self, place: int) -> int | None:
         return self._frames.get(self._keys[place])
 
-    def notes(self) -> Iterable[str]:
-        self._listen()
-        self._look()
+    def take_notes(self) -> Iterable[str]:
+        self._read_messages()
+        self._check_workers()
         sentences = [sentence for sentence in dict.fromkeys(self._told) if sentence not in self._once]
         self._told = []
         self._once.update(sentences)  # a rejected worker reports this too
         return sentences
 
-    def _listen(self) -> None:
+    def _read_messages(self) -> None:
         """Take in what workers have said."""
         with suppress(Empty):
             while True:
@@ -192,7 +200,7 @@ class Cluster:
                 elif "refused" in said:
                     self._told.append("".join(s if s.isprintable() else " " for s in str(said["refused"])[:_SENTENCE_LENGTH]))
 
-    def _look(self) -> None:
+    def _check_workers(self) -> None:
         """Check from time to time which workers are available. If none was available and one is now, all tasks are resubmitted.
         Dask assigns waiting tasks when a worker joins, which is before it has the files."""
         if time.monotonic() - self._looked < LOOK:
@@ -209,13 +217,13 @@ class Cluster:
                 for outer, (task, inner) in assignments:
                     if self._in_vain > _IN_VAIN:
                         del self._given[outer]
-                        outer.set_exception(Refused(_ALL_LOST))
+                        outer.set_exception(TaskRefused(_ALL_LOST))
                     else:
-                        self._give(self._executor, outer, task)
+                        self._submit_task(self._executor, outer, task)
                     inner.cancel()
         self._there = present_workers
 
-    def why_broken(self) -> str:
+    def break_reason(self) -> str:
         return "the scheduler is gone"
 
     def stop(self, executor: Executor) -> None:
@@ -229,13 +237,13 @@ class Cluster:
             try:
                 part = self._client.run(read_part, self.name, file, start, workers=[worker])[worker]
             except (OSError, KeyError) as why:
-                raise Lost(f"worker {worker} is gone: {why}") from None
+                raise WorkersLost(f"worker {worker} is gone: {why}") from None
             if not part:
-                raise Lost(f"`{file}` of worker {worker} ends before its size")
+                raise WorkersLost(f"`{file}` of worker {worker} ends before its size")
             start += len(part)
             yield part
 
     def forget(self, worker: str, folder: str) -> None:
         """Have a worker remove what a task made."""
         with suppress(OSError, KeyError):
-            self._client.run(forget, self.name, folder, workers=[worker])
+            self._client.run(remove_results, self.name, folder, workers=[worker])

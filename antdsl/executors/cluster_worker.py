@@ -22,8 +22,8 @@ from distributed.diagnostics.plugin import WorkerPlugin
 
 from antdsl import __version__
 from antdsl.bounded import open_bounded
-from antdsl.executors.parcel import FileBundle, VisibleFile, inside
-from antdsl.executors.tasks import LOOK, Refused, Work, Worker, perform
+from antdsl.executors.parcel import FileBundle, VisibleFile, unpacked_path
+from antdsl.executors.tasks import LOOK, TaskRefused, Work, Worker, perform
 from antdsl.limits import MADE_BYTES, MIB
 from antdsl.outputs.provenance import sources
 
@@ -41,7 +41,7 @@ class Project(WorkerPlugin):  # type: ignore[misc]
     async def setup(self, worker: Any) -> None:
         """Install the files when a worker starts, or when the project reaches a running worker."""
         if self.sources != sources():
-            worker.log_event(self.name, {"refused": other_sources(worker.address, identity(), self.sources)})
+            worker.log_event(self.name, {"refused": explain_mismatch(worker.address, worker_identity(), self.sources)})
             return
         if self.seen is not None and not self.seen.is_visible():
             message = f"worker {worker.address} does not see `{self.seen.path}`, as the others do, so it is given nothing"
@@ -49,15 +49,15 @@ class Project(WorkerPlugin):  # type: ignore[misc]
             return
         folder = Path(worker.local_directory) / self.name
         try:
-            await asyncio.to_thread(_take_in, self.parcel, folder)
-        except (OSError, Refused) as why:
-            words = str(why) if isinstance(why, Refused) else f"its disk: {(why.strerror or str(why)).lower()}"
+            await asyncio.to_thread(_unpack_bundle, self.parcel, folder)
+        except (OSError, TaskRefused) as why:
+            words = str(why) if isinstance(why, TaskRefused) else f"its disk: {(why.strerror or str(why)).lower()}"
             worker.log_event(
                 self.name, {"refused": f"worker {worker.address} has not got the files, so it is given nothing: {words}"}
             )
             return
         files = folder / "files"
-        local_path = Path if self.seen is not None else functools.partial(inside, files)
+        local_path = Path if self.seen is not None else functools.partial(unpacked_path, files)
         self.worker = Worker(worker.state.nthreads, local_path=local_path, scratch=folder / "made", name=worker.address)
         if self.name not in worker.state.total_resources:  # said again, it would count as free what a task has
             await worker.set_resources(**{self.name: 1})
@@ -67,7 +67,7 @@ class Project(WorkerPlugin):  # type: ignore[misc]
 _one_at_a_time = threading.Lock()
 
 
-def _take_in(bundle: FileBundle, folder: Path) -> None:
+def _unpack_bundle(bundle: FileBundle, folder: Path) -> None:
     """Put the files where tasks look for them, unless an earlier command did."""
     with _one_at_a_time:
         complete_mark = folder / "whole"  # is there once all the others are
@@ -79,17 +79,17 @@ def _take_in(bundle: FileBundle, folder: Path) -> None:
         complete_mark.touch()
 
 
-def identity() -> dict[str, str]:
+def worker_identity() -> dict[str, str]:
     """What a worker has."""
     return {"antdsl": __version__, "sources": sources(), "host": platform.node()}
 
 
-def sees(visible_file: VisibleFile) -> bool:
+def sees_file(visible_file: VisibleFile) -> bool:
     """Return whether a worker sees a file of the requester."""
     return visible_file.is_visible()
 
 
-def other_sources(address: str, has: Mapping[str, str], expected_sources: str) -> str:
+def explain_mismatch(address: str, has: Mapping[str, str], expected_sources: str) -> str:
     """Why a worker is given nothing."""
     return (
         f"worker {address} on {has['host']} has antdsl {has['antdsl']} with other sources ({has['sources'][:8]}, "
@@ -97,12 +97,12 @@ def other_sources(address: str, has: Mapping[str, str], expected_sources: str) -
     )
 
 
-def perform_there(work: Work, text: str, name: str, key: str, attempt: int) -> str:
+def perform_on_worker(work: Work, text: str, name: str, key: str, attempt: int) -> str:
     """Run a task on this worker. `name`: the project's name; `attempt`: the number of earlier attempts."""
     dask_worker = get_worker()
     project = dask_worker.plugins.get(name)
     if project is None or project.worker is None:
-        raise Refused(f"worker {dask_worker.address} has not got the files")
+        raise TaskRefused(f"worker {dask_worker.address} has not got the files")
     said = time.monotonic()
 
     def report_frame(frame: int) -> None:
@@ -115,7 +115,7 @@ def perform_there(work: Work, text: str, name: str, key: str, attempt: int) -> s
     try:
         return perform(work, text, project.worker)
     except OSError as why:
-        raise Refused(f"worker {dask_worker.address}: {(why.strerror or str(why)).lower()}") from None
+        raise TaskRefused(f"worker {dask_worker.address}: {(why.strerror or str(why)).lower()}") from None
 
 
 def read_part(name: str, file: str, start: int) -> bytes:
@@ -123,13 +123,13 @@ def read_part(name: str, file: str, start: int) -> bytes:
     folder = Path(get_worker().local_directory) / name / "made"
     path = (folder / file).resolve()
     if not path.is_relative_to(folder.resolve()):
-        raise Refused(f"`{file}` is none of the files that a task made")
+        raise TaskRefused(f"`{file}` is none of the files that a task made")
     with open_bounded(path, MADE_BYTES, follow=False) as handle:
         handle.seek(start)
         return handle.read(PART_BYTES)
 
 
-def forget(name: str, folder: str) -> None:
+def remove_results(name: str, folder: str) -> None:
     """Remove the files of a task after they were fetched."""
     scratch_folder = Path(get_worker().local_directory) / name / "made"
     path = (scratch_folder / folder).resolve()

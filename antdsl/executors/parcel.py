@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePath
 
 from antdsl.bounded import read_bounded
-from antdsl.executors.tasks import Refused
+from antdsl.executors.tasks import TaskRefused
 from antdsl.limits import BUNDLE_BYTES
 
 
@@ -26,12 +26,12 @@ class FileBundle:
         """Write the files below a folder, each at `inside(folder, its path)`. Raises Refused if the data does not match the
         hash."""
         if _digest(self.data) != self.digest:
-            raise Refused("the files of the project did not arrive as they were sent")
+            raise TaskRefused("the files of the project did not arrive as they were sent")
         start = 8 + int.from_bytes(self.data[:8], "little")
         for name, size in json.loads(self.data[8:start]):
             path = folder / name
             if not path.resolve().is_relative_to(folder.resolve()):
-                raise Refused(f"a file of the project would be put outside of its folder: `{name}`")
+                raise TaskRefused(f"a file of the project would be put outside of its folder: `{name}`")
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "xb") as file:
                 file.write(self.data[start : start + size])
@@ -60,7 +60,7 @@ class VisibleFile:
 
 
 def pack(paths: Iterable[Path]) -> FileBundle:
-    """Return an input bundle of regular files. Raises Refused if they are more than `PARCEL_BYTES` together, OSError if one
+    """Return an input bundle of regular files. Raises Refused if they are more than `BUNDLE_BYTES` together, OSError if one
     cannot be read."""
     files: dict[str, bytes] = {}
     left = BUNDLE_BYTES
@@ -68,23 +68,23 @@ def pack(paths: Iterable[Path]) -> FileBundle:
         content = read_bounded(path, BUNDLE_BYTES)
         left -= len(content)
         if left < 0:
-            raise Refused(f"the files that the scenes read are more than {BUNDLE_BYTES >> 20} MiB, and more do not travel")
-        files[_inner(path)] = content
-    return _packed(files)
+            raise TaskRefused(f"the files that the scenes read are more than {BUNDLE_BYTES >> 20} MiB, and more do not travel")
+        files[_relative_path(path)] = content
+    return _pack_files(files)
 
 
-def _packed(files: Mapping[str, bytes]) -> FileBundle:
+def _pack_files(files: Mapping[str, bytes]) -> FileBundle:
     table = json.dumps([[name, len(content)] for name, content in files.items()]).encode()
     data = b"".join((len(table).to_bytes(8, "little"), table, *files.values()))
     return FileBundle(data, _digest(data))
 
 
-def inside(folder: Path, path: str) -> Path:
+def unpacked_path(folder: Path, path: str) -> Path:
     """Return the path of a bundled file below the folder that the bundle was unpacked into."""
-    return folder / _inner(Path(path))
+    return folder / _relative_path(Path(path))
 
 
-def _inner(path: PurePath) -> str:
+def _relative_path(path: PurePath) -> str:
     """Return an absolute path as one relative to a folder: `/shots/a.yaml` as `shots/a.yaml`, `C:\\\\shots` as `C/shots`."""
     drive = path.drive.replace(":", "").replace("\\", "_")
     return "/".join([*([drive] if drive else []), *path.parts[1:]])

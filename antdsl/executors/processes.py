@@ -32,7 +32,7 @@ class Processes:
         self._own: set[BaseProcess] = set()
 
     @property
-    def at_once(self) -> int:
+    def task_capacity(self) -> int:
         return self._count
 
     def start(self) -> Executor:
@@ -40,7 +40,7 @@ class Processes:
         context = multiprocessing.get_context("spawn")
         self._frames = context.RawArray("q", [_NONE] * self._count)
         self._before, self._own = frozenset(multiprocessing.active_children()), set()
-        return ProcessPoolExecutor(self._count, context, _begin, (self._threads, self._frames))
+        return ProcessPoolExecutor(self._count, context, _start_process, (self._threads, self._frames))
 
     def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
         self._frames[place] = _NONE
@@ -52,15 +52,15 @@ class Processes:
         frame = self._frames[place]
         return None if frame == _NONE else frame
 
-    def notes(self) -> tuple[str, ...]:
+    def take_notes(self) -> tuple[str, ...]:
         return ()
 
-    def why_broken(self) -> str:
+    def break_reason(self) -> str:
         for process in self._own:
             process.join(_PATIENCE)
         codes = [process.exitcode for process in self._own]
         # the pool itself ends the others by SIGTERM once one is gone
-        return _how_it_ended(next((code for code in codes if code not in (None, 0, -signal.SIGTERM)), -signal.SIGTERM))
+        return _describe_end(next((code for code in codes if code not in (None, 0, -signal.SIGTERM)), -signal.SIGTERM))
 
     def stop(self, executor: Executor) -> None:
         executor.shutdown(wait=False, cancel_futures=True)
@@ -75,7 +75,7 @@ class Processes:
         executor.shutdown(wait=True)
 
 
-def _how_it_ended(code: int | None) -> str:
+def _describe_end(code: int | None) -> str:
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else str(-code)
         reason = ", most likely for want of memory" if name == "SIGKILL" else ""
@@ -87,7 +87,7 @@ _worker = Worker(1)
 _frames: MutableSequence[int] = []
 
 
-def _begin(threads: int, frames: MutableSequence[int]) -> None:
+def _start_process(threads: int, frames: MutableSequence[int]) -> None:
     """The first thing that a process does."""
     global _worker, _frames
     _worker, _frames = Worker(threads), frames

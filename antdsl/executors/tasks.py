@@ -20,11 +20,11 @@ LOOK = 0.5  # seconds between looks at how far tasks are
 Answer = dict[str, Any]
 
 
-class Refused(Exception):
+class TaskRefused(Exception):
     """A task that cannot be done; the message is for its requester. It is not tried again."""
 
 
-class Lost(Exception):
+class WorkersLost(Exception):
     """Nothing is left that can run tasks; the message is for their requester."""
 
 
@@ -58,7 +58,7 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Answered:
+class TaskOutcome:
     """The result of a task: an answer, or the error message."""
 
     task: Task
@@ -71,7 +71,7 @@ class Executors(Protocol):
     """Where tasks run."""
 
     @property
-    def at_once(self) -> int:
+    def task_capacity(self) -> int:
         """How many tasks to have under way."""
 
     def start(self) -> Executor:
@@ -83,10 +83,10 @@ class Executors(Protocol):
     def frame(self, place: int) -> int | None:
         """Return the current frame of the task at a place, if known."""
 
-    def notes(self) -> Iterable[str]:
+    def take_notes(self) -> Iterable[str]:
         """Return the messages about workers since the last call."""
 
-    def why_broken(self) -> str:
+    def break_reason(self) -> str:
         """What ended the executor, once it is broken."""
 
     def stop(self, executor: Executor) -> None:
@@ -98,7 +98,7 @@ def run_tasks(
     executors: Executors,
     report_frame: Callable[[Task, int], None] = lambda task, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
-) -> Iterator[Answered]:
+) -> Iterator[TaskOutcome]:
     """Run tasks and yield the outcome of each as it is known. `report_frame` is called from time to time with the frame that a
     task has reached, `noted` with messages about workers. `tasks` is read one at a time, whenever another one can start.
 
@@ -111,7 +111,7 @@ def run_tasks(
         while True:
             if not running:
                 alone = bool(suspects)  # and it stays so until that one has ended
-            while len(running) < (1 if alone else executors.at_once):
+            while len(running) < (1 if alone else executors.task_capacity):
                 task = suspects.popleft() if alone else next(waiting, None)
                 if task is None:
                     break
@@ -121,45 +121,45 @@ def run_tasks(
             if not running:
                 return
             finished_futures, _ = wait(running, timeout=LOOK, return_when=FIRST_COMPLETED)
-            for sentence in executors.notes():
+            for sentence in executors.take_notes():
                 noted(sentence)
             for future, (task, place) in running.items():
                 frame = executors.frame(place) if future not in finished_futures else None
                 if frame is not None:
                     report_frame(task, frame)
-            if any(_broken(future) for future in finished_futures):
+            if any(_is_broken(future) for future in finished_futures):
                 finished_futures, _ = wait(running)  # with it all the others are broken, or answered just before
             lost = []
             for future in finished_futures:
                 task, _ = running.pop(future)
-                if _broken(future):
+                if _is_broken(future):
                     lost.append(task)
                 else:
-                    yield _answered(task, future)
+                    yield _outcome_of(task, future)
             if lost:
-                why = executors.why_broken()
+                why = executors.break_reason()
                 executors.stop(executor)
                 executor = executors.start()
                 if alone:
-                    yield Answered(lost[0], None, why)
+                    yield TaskOutcome(lost[0], None, why)
                 else:
                     suspects.extend(lost)
     finally:
         executors.stop(executor)
 
 
-def _broken(future: Future[str]) -> bool:
+def _is_broken(future: Future[str]) -> bool:
     return future.cancelled() or isinstance(future.exception(), BrokenExecutor)
 
 
-def _answered(task: Task, future: Future[str]) -> Answered:
+def _outcome_of(task: Task, future: Future[str]) -> TaskOutcome:
     why = future.exception()
-    if isinstance(why, Refused | MemoryError | OSError):
-        return Answered(task, None, str(why) or "out of memory")
+    if isinstance(why, TaskRefused | MemoryError | OSError):
+        return TaskOutcome(task, None, str(why) or "out of memory")
     if why is not None:
         raise why
     document = json.loads(future.result())
-    return Answered(task, document["answer"], notes=tuple(document["notes"]))
+    return TaskOutcome(task, document["answer"], notes=tuple(document["notes"]))
 
 
 def perform(work: Work, text: str, worker: Worker) -> str:
@@ -168,5 +168,5 @@ def perform(work: Work, text: str, worker: Worker) -> str:
     answer = work(json.loads(text), worker)
     text = json.dumps({"answer": answer, "notes": worker.notes})
     if len(text) > ANSWER_BYTES:
-        raise Refused(f"its result has {len(text):,} bytes, and more than {ANSWER_BYTES:,} are not sent")
+        raise TaskRefused(f"its result has {len(text):,} bytes, and more than {ANSWER_BYTES:,} are not sent")
     return text

@@ -3,9 +3,9 @@
 from antdsl.explain.account import LocatedExplanation, explain_agents, locate_explanations
 from antdsl.explain.history import CacheHistory, ExplainError, History, open_shot
 from antdsl.explain.model import Explanation, as_json
-from antdsl.explain.queries import absent, explain
+from antdsl.explain.queries import absence_error, explain
 from antdsl.explain.replaying import Replay
-from antdsl.explain.strip import stretches
+from antdsl.explain.strip import state_stretches
 from antdsl.explain.text_report import tell
 
 __all__ = [
@@ -15,12 +15,12 @@ __all__ = [
     "History",
     "LocatedExplanation",
     "Replay",
-    "absent",
+    "absence_error",
     "as_json",
     "explain",
     "explain_agents",
     "locate_explanations",
     "open_shot",
-    "stretches",
+    "state_stretches",
     "tell",
 ]

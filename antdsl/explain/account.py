@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from antdsl.explain.changing import changes, did
+from antdsl.explain.changing import did, list_changes
 from antdsl.explain.deciding import machine_step
 from antdsl.explain.model import Explanation, MachineStep, Triple
-from antdsl.explain.pushing import layers, pushed, steers
+from antdsl.explain.pushing import layers, steering_lines, total_push
 from antdsl.explain.replaying import Replay
-from antdsl.explain.sensing import draws, fields, observed_sets, senses
+from antdsl.explain.sensing import field_values, observed_sets, random_draws, sense_readings
 from antdsl.explain.tracing import Trace
 from antdsl.explain.value_text import place, triple
 from antdsl.plan.lowering.source_map import resting_site
@@ -40,7 +40,7 @@ def explain_agents(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]
 
 
 def locate_explanations(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[LocatedExplanation | None]:
-    """As `accounts`, with the places."""
+    """As `explain_agents`, with the places."""
 
     def look(world: World, population: Population, trace: Trace) -> tuple[Trace, LocatedExplanation]:
         return trace, LocatedExplanation(_build_explanation(replay, frame, world, population, trace), *_positions(trace))
@@ -52,7 +52,7 @@ def locate_explanations(replay: Replay, frame: int, agents: Sequence[tuple[str, 
             explanations.append(None)
             continue
         trace, located = each
-        explanation = _ended(replay, step.end_world, trace, located.explanation)
+        explanation = _with_effects(replay, step.end_world, trace, located.explanation)
         explanations.append(replace(located, explanation=replace(explanation, hash=step.hash, checkpoint=step.checkpoint)))
     return explanations
 
@@ -65,7 +65,7 @@ def _positions(trace: Trace) -> tuple[Triple, tuple[Triple, ...]]:
     return own, tuple(dict.fromkeys(positions))
 
 
-def _collides(handler: Handler, trace: Trace) -> bool:
+def _has_collided(handler: Handler, trace: Trace) -> bool:
     """Return whether a handler of collisions has run: its agent has begun to touch another."""
     if handler.event != "collision":
         return False
@@ -82,7 +82,7 @@ def _build_explanation(replay: Replay, frame: int, world: World, population: Pop
     handlers = tuple(
         place(handler.span)
         for handler in program.handlers
-        if (handler.event in population.events and population.events[handler.event][trace.row]) or _collides(handler, trace)
+        if (handler.event in population.events and population.events[handler.event][trace.row]) or _has_collided(handler, trace)
     )
     return Explanation(
         scene=Path(replay.shot.scene.source.path).name,
@@ -98,21 +98,21 @@ def _build_explanation(replay: Replay, frame: int, world: World, population: Pop
         notes=(),
         machines=machines,
         handlers=handlers,
-        steers=steers(population.name, notes, trace, _sites(program, machines)),
+        steers=steering_lines(population.name, notes, trace, _active_sites(program, machines)),
         layers=layers(world, program.layers.mode, notes, trace),
-        push=triple(pushed(trace)),
+        push=triple(total_push(trace)),
         velocity=(velocity, None),
         acceleration=None,
         seen=observed_sets(world, trace),
-        fields=fields(world, population, trace.row),
-        senses=senses(trace),
-        draws=draws(trace),
+        fields=field_values(world, population, trace.row),
+        senses=sense_readings(trace),
+        draws=random_draws(trace),
         did=did(trace.effects),
         changes=(),
     )
 
 
-def _sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
+def _active_sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
     """Return the code sites that run for this agent in this step. These are the bodies of its current states, or the default
     where none of them has a `steer` line; and the layers' `face` lines."""
     sites = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
@@ -127,7 +127,7 @@ def _sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]
     return tuple(sites)
 
 
-def _ended(replay: Replay, world: World, trace: Trace, explanation: Explanation) -> Explanation:
+def _with_effects(replay: Replay, world: World, trace: Trace, explanation: Explanation) -> Explanation:
     """Return the explanation with the results of the step; an agent that died in the step has no more."""
     population = world.populations[explanation.species]
     row = int(population.rows_of(np.array([explanation.agent]))[0])
@@ -143,5 +143,5 @@ def _ended(replay: Replay, world: World, trace: Trace, explanation: Explanation)
         explanation,
         velocity=(explanation.velocity[0], velocity),
         acceleration=gained,
-        changes=changes(world, population, species, trace, explanation.agent),
+        changes=list_changes(world, population, species, trace, explanation.agent),
     )

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.explain.model import Changed, Value
+from antdsl.explain.model import ChangedValue, Value
 from antdsl.explain.tracing import Trace
-from antdsl.explain.value_text import in_unit, said, triple, value
+from antdsl.explain.value_text import in_unit, plain_value, said, triple
 from antdsl.plan.ir import Register
 from antdsl.plan.registers import pair_values
 from antdsl.program.model import Dim, Kind, Species, Type
-from antdsl.program.tables.effects import EFFECTS, Effect, phrase
-from antdsl.program.tables.units import unit_of
+from antdsl.program.tables.effects import EFFECTS, Effect, fill_template
+from antdsl.program.tables.units import default_unit
 from antdsl.runtime.requests import Effects, RequestEntry
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.specs.value_text import place_text
@@ -22,14 +22,14 @@ from antdsl.specs.value_text import place_text
 _VECTORS = {"position": "mm", "velocity": "mm/s", "heading": "", "up": ""}
 
 
-def changes(world: World, population: Population, species: Species, trace: Trace, agent: int) -> tuple[Changed, ...]:
+def list_changes(world: World, population: Population, species: Species, trace: Trace, agent: int) -> tuple[ChangedValue, ...]:
     """Return the stored registers that have changed, in the order of the program. `world` is that after the step. Empty for a
     dead agent."""
     row = int(population.rows_of(np.array([agent]))[0])
-    return () if row < 0 else tuple(_changes(world, population, species, trace, row))
+    return () if row < 0 else tuple(_changed_registers(world, population, species, trace, row))
 
 
-def _changes(world: World, population: Population, species: Species, trace: Trace, row: int) -> Iterator[Changed]:
+def _changed_registers(world: World, population: Population, species: Species, trace: Trace, row: int) -> Iterator[ChangedValue]:
     types = {a.name: a.type for a in species.attributes}
     for name, register in population.plan.registers.items():
         if register.role in ("temp", "pair") or name.endswith((".y", ".z", ".next")):
@@ -39,24 +39,26 @@ def _changes(world: World, population: Population, species: Species, trace: Trac
         if name.endswith(".x") and f"{stem}.y" in population.plan.registers:
             both = [[a[f"{stem}.{axis}"] for axis in AXES] for a in (trace.start, _row(population, stem, row))]
             if any(x != y for x, y in zip(*both, strict=True)):
-                yield _vector(world, stem, both, types.get(stem), memory)
+                yield _vector_change(world, stem, both, types.get(stem), memory)
             continue
         old_value, new_value = trace.start[name], population.now[name][row]
         if old_value != new_value:
-            type = types.get(name) or _type(name, register, species)
-            unit = unit_of(type.dim) if type.kind is Kind.NUMBER else ""
-            value_texts = [(value(world, each, type, unit), said(world, each, type, unit)) for each in (old_value, new_value)]
-            yield Changed(name, value_texts[0][0], value_texts[1][0], unit, (value_texts[0][1], value_texts[1][1]), memory)
+            type = types.get(name) or _register_type(name, register, species)
+            unit = default_unit(type.dim) if type.kind is Kind.NUMBER else ""
+            value_texts = [
+                (plain_value(world, each, type, unit), said(world, each, type, unit)) for each in (old_value, new_value)
+            ]
+            yield ChangedValue(name, value_texts[0][0], value_texts[1][0], unit, (value_texts[0][1], value_texts[1][1]), memory)
 
     for name, slots in pair_values(population.plan.registers).items():
         pair_maps = [
             _values_by_other(registers, slots) for registers in (trace.start, {n: a[row] for n, a in population.now.items()})
         ]
-        unit = unit_of(types[name].dim)
+        unit = default_unit(types[name].dim)
         for other in sorted(pair_maps[0].keys() | pair_maps[1].keys()):
             if pair_maps[0].get(other) != pair_maps[1].get(other):
                 value_texts = [_describe_value(world, each.get(other), types[name], unit) for each in pair_maps]
-                yield Changed(
+                yield ChangedValue(
                     f"{name}[{other}]", value_texts[0][0], value_texts[1][0], unit, (value_texts[0][1], value_texts[1][1]), False
                 )
 
@@ -67,15 +69,15 @@ def _values_by_other(registers: Mapping[str, Any], slots: list[tuple[str, str]])
 
 
 def _describe_value(world: World, held: Any, type: Type, unit: str) -> tuple[Value, str]:
-    return ("nothing", "nothing") if held is None else (value(world, held, type, unit), said(world, held, type, unit))
+    return ("nothing", "nothing") if held is None else (plain_value(world, held, type, unit), said(world, held, type, unit))
 
 
 def _row(population: Population, stem: str, row: int) -> dict[str, Any]:
     return {f"{stem}.{axis}": population.now[f"{stem}.{axis}"][row] for axis in AXES}
 
 
-def _vector(world: World, name: str, both: list[list[Any]], type: Type | None, memory: bool) -> Changed:
-    unit = _VECTORS.get(name, unit_of(type.dim) if type is not None else "")
+def _vector_change(world: World, name: str, both: list[list[Any]], type: Type | None, memory: bool) -> ChangedValue:
+    unit = _VECTORS.get(name, default_unit(type.dim) if type is not None else "")
     origin = world.origin if name == "position" else (0.0, 0.0, 0.0)  # registers are relative to it
     old_vector, new_vector = (
         triple(in_unit(world, float(x) + o, unit) for x, o in zip(vector, origin, strict=True)) for vector in both
@@ -84,10 +86,10 @@ def _vector(world: World, name: str, both: list[list[Any]], type: Type | None, m
         texts = [f"({place_text(vector, origin, 1.0)}) {unit}" for vector in both]
     else:
         texts = [f"({', '.join(f'{x:.4g}' for x in vector)}) {unit}".strip() for vector in (old_vector, new_vector)]
-    return Changed(name, old_vector, new_vector, unit, (texts[0], texts[1]), memory)
+    return ChangedValue(name, old_vector, new_vector, unit, (texts[0], texts[1]), memory)
 
 
-def _type(name: str, register: Register, species: Species) -> Type:
+def _register_type(name: str, register: Register, species: Species) -> Type:
     """Return the type of a register that no attribute declares: a machine's register, or a memory."""
     machine, _, part = name.partition(".")
     if part in ("state", "previous") and any(m.name == machine for m in species.machines):
@@ -123,4 +125,6 @@ def _describe_request(row: Effect, entry: RequestEntry) -> str:
         name: None if arg is None else str(int(arg[0])) if name in row.agents else f"{float(arg[0]):.4g}"
         for name, arg in args.items()
     }
-    return phrase(row.trace, {**values, "of": entry.request.of, "own": entry.request.own, "whom": entry.request.target_species})
+    return fill_template(
+        row.trace, {**values, "of": entry.request.of, "own": entry.request.own, "whom": entry.request.target_species}
+    )

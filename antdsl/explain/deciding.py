@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from antdsl.explain.model import Choice, Claim, Looked, MachineStep
+from antdsl.explain.model import Choice, Claim, MachineStep, TransitionAccount
 from antdsl.explain.tracing import Trace
-from antdsl.explain.value_text import part, place, timer
+from antdsl.explain.value_text import condition_part, place, timer_reading
 from antdsl.numerics import randomness
 from antdsl.plan.ir import MachinePlan
 from antdsl.plan.lowering.source_map import ChangeNote, ChoiceNote, Notes
@@ -31,24 +31,24 @@ def machine_step(world: World, population: Population, machine: MachinePlan, not
         machine.states[old_state],
         machine.states[new_state],
         float(trace.start[f"{machine.name}.time_in_state"]),
-        tuple(_looked(world, machine, note, winner, trace) for note in mine),
+        tuple(_transition_account(world, machine, note, winner, trace) for note in mine),
         changed,
         claim,
         None if choice is None else _choice(machine, choice, trace, new_state),
     )
 
 
-def _looked(world: World, machine: MachinePlan, note: ChangeNote, winner: int, trace: Trace) -> Looked:
+def _transition_account(world: World, machine: MachinePlan, note: ChangeNote, winner: int, trace: Trace) -> TransitionAccount:
     t = note.transition
     kind = "interrupt" if t.interrupt else "from any" if f".{model.ANYWHERE}->" in t.key else "when"
-    return Looked(
+    return TransitionAccount(
         place(t.span),
         kind,
         _target(machine, t),
-        part(world, note.condition, trace.values),
+        condition_part(world, note.condition, trace.values),
         note.holds is None or bool(trace.values[note.holds]),
-        tuple(timer(each, trace.values) for each in note.timers),
-        part(world, note.take, trace.values),
+        tuple(timer_reading(each, trace.values) for each in note.timers),
+        condition_part(world, note.take, trace.values),
         bool(trace.values[note.fires]),
         note.number == winner,
     )
@@ -77,13 +77,13 @@ def _claim(world: World, population: Population, won: ChangeNote, trace: Trace) 
         name,
         statement.attribute or statement.own or "",
         amount if np.isfinite(amount) else None,
-        _turn(world, population, entry, trace.row),
+        _claim_draw(world, population, entry, trace.row),
         bool(population.now[statement.won][trace.row]),
         place(won.transition.take.span if won.transition.take is not None else won.transition.span),
     )
 
 
-def _turn(world: World, population: Population, entry: ClaimEntry, row: int) -> float:
+def _claim_draw(world: World, population: Population, entry: ClaimEntry, row: int) -> float:
     """Return the random draw, from 0 to 1, that sets the order in which its claim is served."""
     ids = population.ids[row : row + 1]
     words = randomness.words(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)

@@ -38,13 +38,13 @@ class History(Protocol):
     def hash(self, frame: int) -> str | None:
         """Return the hash of the state at a frame, if it is known."""
 
-    def before_step(self, world: World) -> None:
+    def apply_interventions(self, world: World) -> None:
         """Apply the external changes that the run received before the next step."""
 
-    def missing(self, frame: int) -> ExplainError:
+    def missing_error(self, frame: int) -> ExplainError:
         """Return the error for a frame without a good checkpoint before it."""
 
-    def differs(self, frame: int) -> ExplainError:
+    def difference_error(self, frame: int) -> ExplainError:
         """Return the error for a frame that differs when it is repeated."""
 
 
@@ -76,15 +76,15 @@ class CacheHistory:
     def hash(self, frame: int) -> str | None:
         return self.hashes.get(frame)
 
-    def before_step(self, world: World) -> None:
+    def apply_interventions(self, world: World) -> None:
         """Do nothing: the run of a cache has no changes from outside."""
 
-    def missing(self, frame: int) -> ExplainError:
+    def missing_error(self, frame: int) -> ExplainError:
         what = "no good checkpoint" if any(point <= frame for point in self.points()) else "no checkpoint"
         words = f"`{self.cache.folder}` has {what} up to frame {frame}"
         return ExplainError(words, "run the scene again: each run writes checkpoints")
 
-    def differs(self, frame: int) -> ExplainError:
+    def difference_error(self, frame: int) -> ExplainError:
         return ExplainError(
             f"frame {frame} comes out otherwise than `{self.cache.folder}` has it",
             "it was written by another version, or by `antdsl test` with a spec's own settings: run the scene again",
@@ -104,7 +104,7 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     """Return the shot of a cache. Raises ExplainError if its scene is not found, has errors, or is not the one the cache was made
     from."""
     manifest = cache.manifest
-    path = scene or _scene_of(cache)
+    path = scene or _find_scene(cache)
     spec = [name for name in manifest.inputs if name.startswith(_SPEC_SET)]
     if spec:
         words = f"the cache was made by a spec that sets `{spec[0].removeprefix(_SPEC_SET)}`"
@@ -134,7 +134,7 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     return shot
 
 
-def _scene_of(cache: Cache) -> Path:
+def _find_scene(cache: Cache) -> Path:
     """Return the scene's file: at its old location relative to the cache, else in one of the folders above the cache, else in the
     working directory."""
     name = Path(cache.manifest.scene).name

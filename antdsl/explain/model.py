@@ -46,7 +46,7 @@ class Timer:
 
 
 @dataclass(frozen=True, slots=True)
-class Looked:
+class TransitionAccount:
     """A transition that was checked. `kind`: interrupt, from any, when. `held`: whether its condition was true; `fires`: whether
     its condition and timers were."""
 
@@ -93,7 +93,7 @@ class MachineStep:
     before: str
     after: str
     since: float
-    looked: tuple[Looked, ...]
+    looked: tuple[TransitionAccount, ...]
     changed: bool
     claim: Claim | None
     choice: Choice | None
@@ -126,7 +126,7 @@ class Steer:
 
 
 @dataclass(frozen=True, slots=True)
-class Near:
+class NearObject:
     """Another agent or an item that was considered: id or name, distance in mm, its state or its amounts."""
 
     name: str
@@ -141,7 +141,7 @@ class ObservedSet:
     asked: str
     of: str
     count: int
-    nearest: tuple[Near, ...]
+    nearest: tuple[NearObject, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,7 +165,7 @@ class Draw:
 
 
 @dataclass(frozen=True, slots=True)
-class Changed:
+class ChangedValue:
     """An attribute or memory before and after the step."""
 
     name: str
@@ -215,18 +215,18 @@ class Explanation:
     senses: tuple[Sense, ...]
     draws: tuple[Draw, ...]
     did: tuple[str, ...]
-    changes: tuple[Changed, ...]
+    changes: tuple[ChangedValue, ...]
 
 
 def as_json(explanation: Explanation) -> dict[str, Any]:
     """Return the explanation as JSON values: infinity and NaN become null."""
-    document: dict[str, Any] = _sayable({"format": FORMAT, **asdict(explanation)})
+    document: dict[str, Any] = _json_value({"format": FORMAT, **asdict(explanation)})
     return document
 
 
-def _sayable(value: Any) -> Any:
+def _json_value(value: Any) -> Any:
     if isinstance(value, dict):
-        return {key: _sayable(each) for key, each in value.items()}
+        return {key: _json_value(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
-        return [_sayable(each) for each in value]
+        return [_json_value(each) for each in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

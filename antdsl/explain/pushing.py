@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from antdsl.explain.model import Layer, Steer
 from antdsl.explain.tracing import Trace
-from antdsl.explain.value_text import part, place, triple
+from antdsl.explain.value_text import condition_part, place, triple
 from antdsl.plan.lowering.source_map import LayerNote, Notes
 from antdsl.runtime.world import AXES, World
 
@@ -18,15 +18,15 @@ Push = NDArray[np.float32]
 def layers(world: World, mode: str, notes: Notes, trace: Trace) -> tuple[Layer, ...]:
     """Return the layers in the order in which they were queried."""
     with np.errstate(all="ignore"):
-        return tuple(_layer(world, mode, note, trace) for note in notes.layers)
+        return tuple(_layer_account(world, mode, note, trace) for note in notes.layers)
 
 
-def _layer(world: World, mode: str, note: LayerNote, trace: Trace) -> Layer:
+def _layer_account(world: World, mode: str, note: LayerNote, trace: Trace) -> Layer:
     where, left = place(note.layer.span, note.layer.text), float(trace.values.get(note.left, 0.0))
     nothing = (0.0, 0.0, 0.0)
     if not trace.values.get(note.looked, False):
         return Layer(where, "no strength", None, left, None, 0.0, nothing, 0.0, 0.0)
-    condition = part(world, note.condition, trace.values)
+    condition = condition_part(world, note.condition, trace.values)
     if not trace.values.get(note.holds, False):
         return Layer(where, "off", condition, left, None, 0.0, nothing, 0.0, 0.0)
     push = np.array([trace.values[node] for node in note.push], _F)
@@ -53,12 +53,12 @@ def length(push: Push) -> np.float32:
     return size
 
 
-def pushed(trace: Trace) -> Push:
+def total_push(trace: Trace) -> Push:
     """Return the sum of all layers: the register that moves the agent."""
     return np.array([trace.now[f"push.{axis}"] for axis in AXES], _F)
 
 
-def steers(species: str, notes: Notes, trace: Trace, sites: tuple[str, ...]) -> tuple[Steer, ...]:
+def steering_lines(species: str, notes: Notes, trace: Trace, sites: tuple[str, ...]) -> tuple[Steer, ...]:
     """Return the `steer` and `face` lines that ran at sites with one of these prefixes."""
     steer_lines = []
     for note in notes.steers:

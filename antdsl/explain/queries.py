@@ -15,7 +15,7 @@ from antdsl.explain.model import Explanation, Stretch
 from antdsl.explain.replaying import Replay
 from antdsl.explain.strip import state_timeline
 from antdsl.outputs.cache.cache_reader import Cache
-from antdsl.runtime.moving.walks import is_led
+from antdsl.runtime.moving.walks import find_walkers
 
 
 def explain(
@@ -32,18 +32,18 @@ def explain(
     the cache's hash. Nothing is written. Raises ExplainError, and CacheError for a damaged frame.
 
     `species` is optional if the scene has only one; `scene` if its file is near the cache."""
-    name = _species(cache, species)
-    _frame(cache, frame)
+    name = _require_species(cache, species)
+    _require_frame(cache, frame)
     stretches, alive = state_timeline(cache, name, agent)
-    _alive(cache, name, agent, frame, stretches, alive)
+    _require_alive(cache, name, agent, frame, stretches, alive)
     replay = Replay(CacheHistory.of(cache, open_shot(cache, scene, grants), threads))
     explanation = explain_agents(replay, frame, [(name, agent)])[0]
     if explanation is None:
-        raise absent(replay, name, agent, frame)
+        raise absence_error(replay, name, agent, frame)
     return replace(explanation, strip=stretches, alive=alive)
 
 
-def _species(cache: Cache, requested_species: str | None) -> str:
+def _require_species(cache: Cache, requested_species: str | None) -> str:
     names = [entry.name for entry in cache.manifest.species]
     if requested_species in names:
         return str(requested_species)
@@ -58,7 +58,7 @@ def _species(cache: Cache, requested_species: str | None) -> str:
     )
 
 
-def _frame(cache: Cache, frame: int) -> None:
+def _require_frame(cache: Cache, frame: int) -> None:
     """Check that a step leads to a frame: it must be in the cache, and not be the first."""
     frames = cache.frames()
     if not frames:
@@ -73,7 +73,7 @@ def _frame(cache: Cache, frame: int) -> None:
         raise ExplainError(f"no frame {frame}", f"`{cache.folder}` has {frames[0] + 1} to {frames[-1]} to explain", usage=True)
 
 
-def _alive(
+def _require_alive(
     cache: Cache, species: str, agent: int, frame: int, stretches: tuple[Stretch, ...], alive: tuple[int, int] | None
 ) -> None:
     """Check that the agent lived in the frame before, as far as the frames show; they need not store ids."""
@@ -104,12 +104,12 @@ def _describe_agents(cache: Cache, species: str, agent: int, frame: int) -> str:
     return f"did you mean {near}? {range_text}" if near else range_text
 
 
-def absent(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
+def absence_error(replay: Replay, species: str, agent: int, frame: int) -> ExplainError:
     """Return the error for an agent that was not traced: it did not live, was quarantined, or is guided by the scene."""
-    world = replay.begin(frame)
+    world = replay.restore_before(frame)
     population = world.populations[species]
     row = int(population.rows_of(np.array([agent]))[0])
-    if row >= 0 and is_led(world, population)[row]:
+    if row >= 0 and find_walkers(world, population)[row]:
         return ExplainError(f"{species} {agent} decides nothing: it goes as the `walk` of its line of the crowd says", "")
     if row >= 0:
         return ExplainError(

@@ -11,12 +11,12 @@ import numpy as np
 
 from antdsl import plan
 from antdsl.explain.history import History
-from antdsl.explain.tracing import Trace, of_notes, traced
+from antdsl.explain.tracing import Trace, note_nodes, trace_agent
 from antdsl.passes.hoist import hoist
 from antdsl.plan.ir import Node, Plan
 from antdsl.plan.lowering.source_map import Notes
 from antdsl.runtime import FaultStop, Population, World, state_hash, step
-from antdsl.runtime.moving.walks import is_led
+from antdsl.runtime.moving.walks import find_walkers
 from antdsl.runtime.phases import PHASES
 from antdsl.scene.matching import layer_order
 
@@ -50,69 +50,69 @@ class Replay:
         self._checkpoint = 0
         self.notes: dict[str, Notes] = {}
         self.became: dict[Node, Node] = {}  # noted nodes, and what stands for them in the plan
-        self.plan = self._noted()
+        self.plan = self._annotated_plan()
 
-    def _noted(self) -> Plan:
+    def _annotated_plan(self) -> Plan:
         """Return the plan with notes, after the one pass that changes rounding: its blocks give the same bits as the plan that
         runs."""
         scene, program = self.shot.scene, self.shot.program
         orders = {name: order for name in scene.model.layers if (order := layer_order(scene, program, name)[0]) is not None}
-        noted = plan.lower(program, orders=orders, notes=self.notes, begun_with=self.shot.setting.begun_with)[0]
-        self.became = {node: node for notes in self.notes.values() for node in of_notes(notes)}
+        noted = plan.lower(program, orders=orders, notes=self.notes, begun_with=self.shot.setting.initial_attributes)[0]
+        self.became = {node: node for notes in self.notes.values() for node in note_nodes(notes)}
         return hoist(noted, self.became)
 
-    def begin(self, frame: int) -> World:
+    def restore_before(self, frame: int) -> World:
         """Return the world at the start of the step to a frame: at the frame before."""
         world = self._world
-        if world is None or not self._checkpoint <= world.frame <= frame - 1 or self._nearer(world.frame, frame):
-            world = self._restored(frame - 1)
+        if world is None or not self._checkpoint <= world.frame <= frame - 1 or self._has_nearer_checkpoint(world.frame, frame):
+            world = self._restore_checkpoint(frame - 1)
         while world.frame < frame - 1:
-            self.history.before_step(world)
+            self.history.apply_interventions(world)
             with suppress(FaultStop):  # it went on after the fault as well
                 step(world)
-        self._same(world)
+        self._require_known_hash(world)
         self._world = world
         return world
 
     def step(self, frame: int, agents: Sequence[tuple[str, int]], look: Look[T]) -> Step[T]:
         """Repeat the step to a frame, tracing agents given by species and id. `look` receives each agent's trace while others,
         items and fields are in their state at the start of the step."""
-        world = self.begin(frame)
-        self.history.before_step(world)
+        world = self.restore_before(frame)
+        self.history.apply_interventions(world)
         self._world = None  # until the step is whole
         results: tuple[T | None, ...] = ()
         for name, phase in PHASES:
             if name == _TRACED_BEFORE:
-                results = tuple(self._look(world, species, agent, look) for species, agent in agents)
+                results = tuple(self._read_trace(world, species, agent, look) for species, agent in agents)
             phase(world)
         self._world = world
-        return Step(results, world, self._same(world), self._checkpoint)
+        return Step(results, world, self._require_known_hash(world), self._checkpoint)
 
-    def _look(self, world: World, species: str, agent: int, look: Look[T]) -> T | None:
+    def _read_trace(self, world: World, species: str, agent: int, look: Look[T]) -> T | None:
         population = world.populations[species]
         row = int(population.rows_of(np.array([agent]))[0])
-        if row < 0 or population.quarantined[row] or is_led(world, population)[row]:
+        if row < 0 or population.quarantined[row] or find_walkers(world, population)[row]:
             return None
         return look(
-            world, population, traced(world, population, self.plan.species[species], row, self.notes[species], self.became)
+            world, population, trace_agent(world, population, self.plan.species[species], row, self.notes[species], self.became)
         )
 
-    def _nearer(self, start_frame: int, frame: int) -> bool:
+    def _has_nearer_checkpoint(self, start_frame: int, frame: int) -> bool:
         return any(start_frame < point < frame for point in self.history.points())
 
-    def _restored(self, frame: int) -> World:
+    def _restore_checkpoint(self, frame: int) -> World:
         """Return a world at the last good checkpoint that is not after a frame."""
         for point in reversed([point for point in self.history.points() if point <= frame]):
             world = self.history.world(point)
             if world is not None:
                 self._checkpoint = point
                 return world
-        raise self.history.missing(frame)
+        raise self.history.missing_error(frame)
 
-    def _same(self, world: World) -> str:
+    def _require_known_hash(self, world: World) -> str:
         """Return the hash of the state. Raises the history's error if it differs from the known hash."""
         world_hash = state_hash(world)
         if self.history.hash(world.frame) not in (None, world_hash):
             self._world = None
-            raise self.history.differs(world.frame)
+            raise self.history.difference_error(world.frame)
         return world_hash

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.explain.model import Draw, Near, ObservedSet, Sense
+from antdsl.explain.model import Draw, NearObject, ObservedSet, Sense
 from antdsl.explain.tracing import Trace
 from antdsl.plan.ir import Node
 from antdsl.program.tables import rows
@@ -28,47 +28,49 @@ def observed_sets(world: World, trace: Trace) -> tuple[ObservedSet, ...]:
         of = str(node.attrs[0])
         key = (of, tuple(m[0] for m in nearest))
         if key not in sets_by_key:
-            near = tuple(_near(world, node, member) for member in nearest[:MOST])
-            sets_by_key[key] = ObservedSet(_text(node), of, len(members), near)
+            near = tuple(_near_object(world, node, member) for member in nearest[:MOST])
+            sets_by_key[key] = ObservedSet(_node_text(node), of, len(members), near)
     return tuple(sets_by_key.values())
 
 
-def _near(world: World, node: Node, member: Member) -> Near:
+def _near_object(world: World, node: Node, member: Member) -> NearObject:
     row, distance, of = member[0], float(member[4]), str(node.attrs[0])
     if node.op == "set.items":
         items = world.items[of]
         amounts = ", ".join(f"{name} {float(items.visible_values[name][row]):.4g}" for name in items.amounts)
-        return Near(items.names[row], distance, amounts)
+        return NearObject(items.names[row], distance, amounts)
     population = world.populations[of]
     machines = population.plan.machines
     state = machines[0].states[int(population.start[f"{machines[0].name}.state"][row])] if machines else ""
-    return Near(str(int(population.ids[row])), distance, state)
+    return NearObject(str(int(population.ids[row])), distance, state)
 
 
-def fields(world: World, population: Population, row: int) -> tuple[tuple[str, float], ...]:
+def field_values(world: World, population: Population, row: int) -> tuple[tuple[str, float], ...]:
     """Return the value of every field at the agent's position at the start of the step."""
     rows = np.array([row])
     return tuple((name, float(field.sample(population.cells[name][rows])[0])) for name, field in world.fields.items())
 
 
-def senses(trace: Trace) -> tuple[Sense, ...]:
+def sense_readings(trace: Trace) -> tuple[Sense, ...]:
     """Return the senses of the agent's position that were queried."""
     return tuple(
-        sense for node, value in sorted(trace.senses.items(), key=lambda pair: pair[0].number) for sense in _sense(node, value)
+        sense
+        for node, value in sorted(trace.senses.items(), key=lambda pair: pair[0].number)
+        for sense in _read_sense(node, value)
     )
 
 
-def _sense(node: Node, value: Any) -> Iterator[Sense]:
+def _read_sense(node: Node, value: Any) -> Iterator[Sense]:
     row = SENSES[node.op]
     if row.quiet or (row.results[0].kind == "l" and value[0] == NO_AGENT):
         return
     kind, _, what = node.op.partition(".")
     values = tuple(bool(v) if isinstance(v, np.bool_) else float(v) for v in (value if isinstance(value, tuple) else (value,)))
     label, name = (f"{kind} {what}".strip(), str(node.attrs[0])) if row.of else ("sense", node.op)
-    yield Sense(label, name, _text(node), _words(row, values), values)
+    yield Sense(label, name, _node_text(node), _describe_sense(row, values), values)
 
 
-def _words(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
+def _describe_sense(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
     """Return what a sense found, in the words of its row; without such words, the numbers."""
     if row.nothing and not values[0]:
         return row.nothing
@@ -78,17 +80,17 @@ def _words(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
     return numbers if len(values) == 1 else f"({numbers})"
 
 
-def draws(trace: Trace) -> tuple[Draw, ...]:
+def random_draws(trace: Trace) -> tuple[Draw, ...]:
     """The random numbers, by site."""
     drawn_numbers = []
     for node, value in trace.draws.items():
         index = node.attrs[1] if node.op == "draw" else 0
         site = str(node.attrs[0]) + (f"[{index}]" if index else "")
-        drawn_numbers.append(Draw(site, _text(node), float(value)))
+        drawn_numbers.append(Draw(site, _node_text(node), float(value)))
     return tuple(sorted(drawn_numbers, key=lambda draw: draw.site))
 
 
-def _text(node: Node) -> str:
+def _node_text(node: Node) -> str:
     """Return the text of the author, or of a library, that made the query; long text is cut."""
     text = "" if node.span is None else " ".join(node.span.text.split())
     return text if len(text) <= _LONG else text[: _LONG - 1].rstrip() + "…"

@@ -19,13 +19,13 @@ def state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[Stretc
     number = names.index(species)
     machine = next(iter(cache.manifest.species[number].machines), None)
     states = [state.name for state in machine.states] if machine is not None else []
-    known = ((frame, _state(cache, frame, number, agent)) for frame in cache.frames())
-    frame_states = ((frame, _named(states, state)) for frame, state in known if state is not None)
-    parts = stretches("" if machine is None else machine.name, frame_states)
+    known = ((frame, _find_state(cache, frame, number, agent)) for frame in cache.frames())
+    frame_states = ((frame, _state_name(states, state)) for frame, state in known if state is not None)
+    parts = state_stretches("" if machine is None else machine.name, frame_states)
     return parts, (parts[0].first, parts[-1].last) if parts else None
 
 
-def stretches(machine: str, frame_states: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
+def state_stretches(machine: str, frame_states: Iterable[tuple[int, str]]) -> tuple[Stretch, ...]:
     """Return frames in order with their states, merged where consecutive frames have the same state."""
     parts: list[Stretch] = []
     for frame, state in frame_states:
@@ -36,11 +36,11 @@ def stretches(machine: str, frame_states: Iterable[tuple[int, str]]) -> tuple[St
     return tuple(parts)
 
 
-def _named(states: Sequence[str], state: int) -> str:
+def _state_name(states: Sequence[str], state: int) -> str:
     return states[state] if 0 <= state < len(states) else ""
 
 
-def _state(cache: Cache, frame: int, species: int, agent: int) -> int | None:
+def _find_state(cache: Cache, frame: int, species: int, agent: int) -> int | None:
     """Return the index of the agent's state in a frame: -1 where states are not stored, None where it does not live."""
     arrays = cache.frame(frame, _NAMES)
     if "id" not in arrays:

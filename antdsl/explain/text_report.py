@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import PurePath
 
-from antdsl.explain.model import Explanation, Layer, Looked, MachineStep, ObservedSet, Part, Place, Stretch, Triple
+from antdsl.explain.model import Explanation, Layer, MachineStep, ObservedSet, Part, Place, Stretch, TransitionAccount, Triple
 
 _BAR = 20  # characters for the whole budget
 _STRETCHES = 12  # of a long life, those around the requested frame
@@ -17,10 +17,10 @@ _DRAWS = 40
 
 def tell(e: Explanation) -> str:
     """All of it, as lines."""
-    return "\n".join(_lines(e)) + "\n"
+    return "\n".join(_report_lines(e)) + "\n"
 
 
-def _lines(e: Explanation) -> Iterator[str]:
+def _report_lines(e: Explanation) -> Iterator[str]:
     yield f"{e.species} {e.agent}, the step to frame {e.frame} of {e.scene}"
     yield from (f"note: {note}" for note in e.notes)
     if e.strip:
@@ -31,18 +31,18 @@ def _lines(e: Explanation) -> Iterator[str]:
             yield from _timeline_lines(mine, e.frame, f"{name}: " if len(mine) < len(e.strip) else "")
     for machine in e.machines:
         yield ""
-        yield from _machine(machine)
+        yield from _machine_lines(machine)
     if e.handlers:
         yield ""
         yield "events that reached it"
-        yield from (f"  {each.text}  ({_where(each)})" for each in e.handlers)
+        yield from (f"  {each.text}  ({_format_place(each)})" for each in e.handlers)
     yield ""
-    yield from _pushes(e)
-    yield from _around(e)
+    yield from _push_lines(e)
+    yield from _surroundings_lines(e)
     yield from _effect_lines(e)
 
 
-def _where(place: Place) -> str:
+def _format_place(place: Place) -> str:
     """Return file and line; of the file only its name, which is enough to find it."""
     return f"{PurePath(place.file).name}:{place.line}"
 
@@ -67,7 +67,7 @@ def _timeline_lines(timeline: tuple[Stretch, ...], frame: int, name: str) -> Ite
 # --- deciding --------------------------------------------------------------------------------------------------------
 
 
-def _machine(m: MachineStep) -> Iterator[str]:
+def _machine_lines(m: MachineStep) -> Iterator[str]:
     head = "" if m.machine == "main" else f"{m.machine}: "
     if m.before != m.after or m.changed:
         yield f"{head}{m.before} -> {m.after}, after {m.since:.4g} s"
@@ -77,7 +77,7 @@ def _machine(m: MachineStep) -> Iterator[str]:
         yield "  no change leads out of it"
     hidden = False
     for looked in m.looked:
-        yield from _looked(looked, hidden)
+        yield from _transition_lines(looked, hidden)
         hidden = hidden or looked.wins
     if m.claim is not None:
         verdict = "won" if m.claim.won else "lost: others came first, or there was not enough"
@@ -89,15 +89,15 @@ def _machine(m: MachineStep) -> Iterator[str]:
         yield f"  drew {m.choice.draw:.4f} among {bars}: {m.choice.chosen}"
 
 
-def _looked(looked: Looked, hidden: bool) -> Iterator[str]:
+def _transition_lines(looked: TransitionAccount, hidden: bool) -> Iterator[str]:
     word = "wins" if looked.wins else ("holds too" if hidden else "holds") if looked.fires else "no"
-    yield f"  {word:<9} {looked.place.text}  ({_where(looked.place)})"
+    yield f"  {word:<9} {looked.place.text}  ({_format_place(looked.place)})"
     if looked.condition is not None:
         condition = looked.condition
         for part in (
             condition.parts if condition.role == "joined" and not looked.timers else (condition,)
         ):  # whether it holds is said already
-            yield from _parts(part, "            ")
+            yield from _condition_lines(part, "            ")
     for timer in looked.timers:
         sign = "has passed" if timer.holds else "has not passed"
         yield f"            {timer.what}: {timer.has:.4g} of {timer.needs:.4g} {timer.unit}, {sign}"
@@ -105,7 +105,7 @@ def _looked(looked: Looked, hidden: bool) -> Iterator[str]:
         yield f"            from: {looked.take.shown}"
 
 
-def _parts(part: Part, indent: str) -> Iterator[str]:
+def _condition_lines(part: Part, indent: str) -> Iterator[str]:
     """Yield a part and its inner parts; a part that only tests the existence of an equal part is replaced by that."""
     if len(part.parts) == 1 and part.parts[0].text == part.text:
         part = part.parts[0]
@@ -116,36 +116,36 @@ def _parts(part: Part, indent: str) -> Iterator[str]:
     else:
         yield f"{indent}{part.text} = {part.shown}"
     for inner in part.parts:
-        yield from _parts(inner, indent + "  ")
+        yield from _condition_lines(inner, indent + "  ")
 
 
 # --- pushing ---------------------------------------------------------------------------------------------------------
 
 
-def _pushes(e: Explanation) -> Iterator[str]:
+def _push_lines(e: Explanation) -> Iterator[str]:
     yield {
         "budget": "layers, from the top until the strength is spent",
         "sum": "layers, added",
         "first": "layers, the first takes all",
     }[e.mode]
     for layer in e.layers:
-        yield f"  {_bar(layer)} {layer.place.text}  ({_where(layer.place)})"
-        yield f"  {'':<{_BAR + 2}} {_layer(layer)}"
+        yield f"  {_strength_bar(layer)} {layer.place.text}  ({_format_place(layer.place)})"
+        yield f"  {'':<{_BAR + 2}} {_layer_line(layer)}"
         if layer.condition is not None:
-            yield from _parts(layer.condition, " " * (_BAR + 7))
+            yield from _condition_lines(layer.condition, " " * (_BAR + 7))
     for steer in e.steers:
-        yield f"  {'':<{_BAR + 2}} {steer.part}: {steer.text} = {_vector(steer.push)}, length {steer.length:.4g}"
-    yield f"  together  {_vector(e.push)}, length {_length(e.push):.4g}"
+        yield f"  {'':<{_BAR + 2}} {steer.part}: {steer.text} = {_format_vector(steer.push)}, length {steer.length:.4g}"
+    yield f"  together  {_format_vector(e.push)}, length {_length(e.push):.4g}"
     old_velocity, new_velocity = e.velocity
     if new_velocity is not None and e.acceleration is not None:
         yield (
-            f"  velocity  {_vector(old_velocity)} -> {_vector(new_velocity)} mm/s, "
+            f"  velocity  {_format_vector(old_velocity)} -> {_format_vector(new_velocity)} mm/s, "
             f"speed {_length(old_velocity):.4g} -> {_length(new_velocity):.4g} mm/s"
         )
-        yield f"  so        {_vector(e.acceleration)} mm/s^2 in this step"
+        yield f"  so        {_format_vector(e.acceleration)} mm/s^2 in this step"
 
 
-def _bar(layer: Layer) -> str:
+def _strength_bar(layer: Layer) -> str:
     """Return a bar of a layer's share of the whole strength, after the share spent before it."""
     had = round(min(layer.share, 1.0) * _BAR)
     if layer.share > 0:
@@ -154,7 +154,7 @@ def _bar(layer: Layer) -> str:
     return f"[{'.' * spent}{'#' * had}{' ' * (_BAR - spent - had)}]"
 
 
-def _layer(layer: Layer) -> str:
+def _layer_line(layer: Layer) -> str:
     match layer.state:
         case "no strength":
             return "not evaluated: no strength is left"
@@ -162,13 +162,13 @@ def _layer(layer: Layer) -> str:
             return "off: its condition does not hold"
         case "nothing":
             return "no push"
-    words = f"push {_vector(layer.push or layer.given)}, length {layer.length:.4g}"
+    words = f"push {_format_vector(layer.push or layer.given)}, length {layer.length:.4g}"
     if layer.cut > 0:
         return f"{words}; got {layer.share:.4g}, cut by {layer.cut:.4g}"
     return f"{words}; got all of it"
 
 
-def _vector(vector: Triple) -> str:
+def _format_vector(vector: Triple) -> str:
     return f"({', '.join(f'{x + 0.0:.4g}' for x in vector)})"
 
 
@@ -179,7 +179,7 @@ def _length(vector: Triple) -> float:
 # --- around ----------------------------------------------------------------------------------------------------------
 
 
-def _around(e: Explanation) -> Iterator[str]:
+def _surroundings_lines(e: Explanation) -> Iterator[str]:
     if e.seen:
         yield ""
         yield "looked at"

@@ -14,7 +14,7 @@ from antdsl.plan import ir
 from antdsl.plan.lowering.source_map import ChangeNote, LayerNote, Notes, PartNote
 from antdsl.plan.registers import statement_numbers
 from antdsl.program.tables.senses import SENSES
-from antdsl.runtime.backends.reference import BLOCKS, Agent, Member, with_winnings
+from antdsl.runtime.backends.reference import BLOCKS, AgentRun, Member, apply_claims
 from antdsl.runtime.requests import ClaimEntry, Effects
 from antdsl.runtime.world import DTYPES, Population, World
 
@@ -37,7 +37,7 @@ class Trace:
     effects: Effects = field(default_factory=Effects)
 
 
-class TracedAgent(Agent):
+class TracedAgent(AgentRun):
     """An agent that records the values of notes at the time they count."""
 
     def __init__(
@@ -59,19 +59,19 @@ class TracedAgent(Agent):
         for block in BLOCKS:
             self.run(block, self.plan)
             if block == "decide":
-                self._decided()
+                self._fill_impossible_changes()
                 self.trace.claims = list(self.effects.claims)
-                with_winnings(self, self.population)
+                apply_claims(self, self.population)
             self._collect(block)
         self.trace.now = {name: array[0] for name, array in self.now.items()}
         self.trace.effects = self.effects
         return self.trace
 
-    def _decided(self) -> None:
+    def _fill_impossible_changes(self) -> None:
         """Compute the notes of changes that can never fire: no register is stored for them, so they were not recorded."""
         for note in self.notes.changes:
             if note.state.index == int(self.trace.start[f"{note.machine}.state"]):
-                for node in of_change(note):
+                for node in change_nodes(note):
                     if node not in self.trace.values:
                         self.trace.values[node] = self.value(self.became.get(node, node))
 
@@ -82,7 +82,7 @@ class TracedAgent(Agent):
             state = int(self.trace.start[f"{machine}.state"])
             for note in self.notes.changes:
                 if note.machine == machine and note.state.index == state:
-                    for node in of_change(note):
+                    for node in change_nodes(note):
                         self.trace.values[node] = self.value(self.became[node])
 
     def _members(self, node: ir.Node) -> list[Member]:
@@ -97,11 +97,11 @@ class TracedAgent(Agent):
             elif node.op in _DRAWN:
                 self.trace.draws[node] = value
         if block == "act":
-            self._keep(of_acts(self.notes))
+            self._keep_values(act_nodes(self.notes))
         elif block == "blend":
-            self._keep([node for note in self.notes.layers for node in of_layer(note)])
+            self._keep_values([node for note in self.notes.layers for node in layer_nodes(note)])
 
-    def _keep(self, nodes: list[ir.Node]) -> None:
+    def _keep_values(self, nodes: list[ir.Node]) -> None:
         for node in nodes:
             now = self.became[node]
             if now in self.values:
@@ -110,7 +110,7 @@ class TracedAgent(Agent):
                 self.trace.values[node] = self.value(now)
 
 
-def traced(
+def trace_agent(
     world: World, population: Population, plan: ir.SpeciesPlan, row: int, notes: Notes, became: Mapping[ir.Node, ir.Node]
 ) -> Trace:
     """Return what the agent of a row does in the current step, after its blocks have run and before its effects have.
@@ -126,33 +126,33 @@ def traced(
         return TracedAgent(world, population, plan, row, now, notes, became).run_all()
 
 
-def of_part(note: PartNote | None) -> list[ir.Node]:
+def part_nodes(note: PartNote | None) -> list[ir.Node]:
     """All nodes of a noted part."""
     if note is None:
         return []
-    return [*note.nodes, *(node for part in note.parts for node in of_part(part))]
+    return [*note.nodes, *(node for part in note.parts for node in part_nodes(part))]
 
 
-def of_change(note: ChangeNote) -> list[ir.Node]:
+def change_nodes(note: ChangeNote) -> list[ir.Node]:
     """All nodes of a noted transition."""
     timers = [node for timer in note.timers for node in (timer.has, timer.needs, timer.holds)]
     own = [note.fires] if note.holds is None else [note.fires, note.holds]
-    return [*own, *timers, *of_part(note.condition), *of_part(note.take)]
+    return [*own, *timers, *part_nodes(note.condition), *part_nodes(note.take)]
 
 
-def of_layer(note: LayerNote) -> list[ir.Node]:
+def layer_nodes(note: LayerNote) -> list[ir.Node]:
     """All nodes of a noted layer."""
-    return [note.left, note.looked, note.holds, *note.push, *of_part(note.condition)]
+    return [note.left, note.looked, note.holds, *note.push, *part_nodes(note.condition)]
 
 
-def of_acts(notes: Notes) -> list[ir.Node]:
+def act_nodes(notes: Notes) -> list[ir.Node]:
     """Return all nodes noted in acting: `steer` and `face` lines, and choices of a state."""
     chosen = [node for note in notes.choices.values() for node in (note.draw, *(n for _, n in note.weights))]
     steered = [node for note in notes.steers for node in (*note.push, *([] if note.holds is None else [note.holds]))]
     return [*steered, *chosen]
 
 
-def of_notes(notes: Notes) -> list[ir.Node]:
+def note_nodes(notes: Notes) -> list[ir.Node]:
     """All nodes that are noted of a species."""
-    changes = [node for note in notes.changes for node in of_change(note)]
-    return [*changes, *of_acts(notes), *(node for note in notes.layers for node in of_layer(note))]
+    changes = [node for note in notes.changes for node in change_nodes(note)]
+    return [*changes, *act_nodes(notes), *(node for note in notes.layers for node in layer_nodes(note))]

@@ -33,18 +33,23 @@ def triple(parts: Any) -> Triple:
     return x, y, z
 
 
-def part(world: World, note: PartNote | None, values: Values) -> Part | None:
+def condition_part(world: World, note: PartNote | None, values: Values) -> Part | None:
     """A noted part with what it was worth."""
     if note is None or any(node not in values for node in note.nodes):
         return None
-    inner = tuple(inner_part for each in note.parts if (inner_part := part(world, each, values)) is not None)
+    inner = tuple(inner_part for each in note.parts if (inner_part := condition_part(world, each, values)) is not None)
     if len(note.nodes) == 3:
         vector = triple(in_unit(world, values[node], note.unit) for node in note.nodes)
         words = f"({', '.join(f'{x:.4g}' for x in vector)}) {note.unit}".strip()
         return Part(note.text, vector, note.unit, words, note.role, inner)
     raw = values[note.nodes[0]]
     return Part(
-        note.text, value(world, raw, note.type, note.unit), note.unit, said(world, raw, note.type, note.unit), note.role, inner
+        note.text,
+        plain_value(world, raw, note.type, note.unit),
+        note.unit,
+        said(world, raw, note.type, note.unit),
+        note.role,
+        inner,
     )
 
 
@@ -57,7 +62,7 @@ def said(world: World, raw: Any, type: Type, unit: str) -> str:
     return format_value(world, raw, type, unit)
 
 
-def value(world: World, raw: Any, type: Type, unit: str) -> Value:
+def plain_value(world: World, raw: Any, type: Type, unit: str) -> Value:
     """Return a value for programs: a number in its unit, a boolean, or a name."""
     if isinstance(raw, np.bool_ | bool):
         return bool(raw)
@@ -72,7 +77,7 @@ def in_unit(world: World, raw: Any, unit: str) -> float:
     return float(raw) if known is None else float(raw) / (known.factor * world.setting.unit_mm**known.u * world.dt**known.step)
 
 
-def timer(note: TimerNote, values: Values) -> Timer:
+def timer_reading(note: TimerNote, values: Values) -> Timer:
     """Return a noted timer with its elapsed and required amount."""
     unit = "steps" if note.what == "held" else "s"
     return Timer(note.what, float(values[note.has]), float(values[note.needs]), unit, bool(values[note.holds]))

@@ -4,7 +4,7 @@
 `json_lines` as lines for any script. Every command may be stopped and restarted: it continues from existing results."""
 
 from antdsl.farm.json_lines import json_lines
-from antdsl.farm.open_job import template
-from antdsl.farm.shot_job import Arg, Job, Place, Shot, Step, shot_job
+from antdsl.farm.open_job import job_template
+from antdsl.farm.shot_job import Job, JobPath, PathArgument, Shot, Step, shot_job
 
-__all__ = ["Arg", "Job", "Place", "Shot", "Step", "json_lines", "shot_job", "template"]
+__all__ = ["Job", "JobPath", "PathArgument", "Shot", "Step", "job_template", "json_lines", "shot_job"]

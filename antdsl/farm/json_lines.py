@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 
-from antdsl.farm.shot_job import Job, Step, words
+from antdsl.farm.shot_job import Job, Step, command_words
 
 
 def json_lines(job: Job) -> str:
@@ -19,7 +19,7 @@ def json_lines(job: Job) -> str:
             entry = {
                 "name": _name(step, frames),
                 "step": step.name,
-                "command": words(step.command, frames, paths),
+                "command": command_words(step.command, frames, paths),
                 "needs": needs,
             }
             lines.append(json.dumps(entry, ensure_ascii=False))

@@ -6,33 +6,33 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from antdsl.farm.shot_job import CHUNK, Job, Place, Step, words
+from antdsl.farm.shot_job import CHUNK, Job, JobPath, Step, command_words
 
 MOST_TASKS = 1024  # values that a list of a parameter may have
 
 
-def template(job: Job, folder: Path) -> dict[str, Any]:
+def job_template(job: Job, folder: Path) -> dict[str, Any]:
     """Return the template, as JSON values. `folder`: where its file will lie. Places below it are relative to it. The submitter
     of the job must name others, as the specification lets no template lead out of its folder."""
     return {
         "specificationVersion": "jobtemplate-2023-09",
         "name": job.name,
-        "parameterDefinitions": [_parameter(place, folder) for place in job.paths],
-        "steps": [_step(step) for step in job.steps],
+        "parameterDefinitions": [_path_parameter(place, folder) for place in job.paths],
+        "steps": [_step_template(step) for step in job.steps],
     }
 
 
-def unnamed(job: Job, folder: Path) -> list[Place]:
+def paths_to_name(job: Job, folder: Path) -> list[JobPath]:
     """Return the places that the submitter of the job must name."""
-    return [place for place in job.paths if _below(place, folder) is None]
+    return [place for place in job.paths if _path_below(place, folder) is None]
 
 
-def _below(place: Place, folder: Path) -> str | None:
+def _path_below(place: JobPath, folder: Path) -> str | None:
     path, start = place.path.resolve(), folder.resolve()
     return path.relative_to(start).as_posix() if path.is_relative_to(start) else None
 
 
-def _parameter(place: Place, folder: Path) -> dict[str, Any]:
+def _path_parameter(place: JobPath, folder: Path) -> dict[str, Any]:
     parameter = {
         "name": place.name,
         "type": "PATH",
@@ -40,12 +40,12 @@ def _parameter(place: Place, folder: Path) -> dict[str, Any]:
         "dataFlow": place.flow,
         "description": place.description,
     }
-    below = _below(place, folder)
+    below = _path_below(place, folder)
     return parameter if below is None else parameter | {"default": below}
 
 
-def _step(step: Step) -> dict[str, Any]:
-    command, *rest = words(step.command, f"{{{{Task.Param.{CHUNK}}}}}", _Named())
+def _step_template(step: Step) -> dict[str, Any]:
+    command, *rest = command_words(step.command, f"{{{{Task.Param.{CHUNK}}}}}", _PathExpressions())
     action = {
         "command": command,
         "args": rest,
@@ -60,7 +60,7 @@ def _step(step: Step) -> dict[str, Any]:
     return entry | {"script": {"actions": {"onRun": action}}}
 
 
-class _Named(dict[str, str]):
+class _PathExpressions(dict[str, str]):
     """Maps each place to the expression for its path, which a farm substitutes."""
 
     def __missing__(self, name: str) -> str:

@@ -11,7 +11,7 @@ CHUNK = "Frames"  # what stands for a task's frames
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class JobPath:
     """A path that may differ on another machine. `flow`: whether it is read, written, or both."""
 
     name: str
@@ -21,15 +21,15 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True)
-class Arg:
+class PathArgument:
     """A word of a command: `prefix`, then the path of a place, then `suffix`."""
 
     prefix: str
-    place: Place
+    place: JobPath
     suffix: str = ""
 
 
-Word = str | Arg
+Word = str | PathArgument
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Job:
     """All steps of a shot, in a valid execution order."""
 
     name: str
-    paths: tuple[Place, ...]
+    paths: tuple[JobPath, ...]
     steps: tuple[Step, ...]
 
 
@@ -77,23 +77,23 @@ CHUNKED = "\0frames"  # no word of a command line has this character
 
 def shot_job(shot: Shot, name: str) -> Job:
     """The job that makes a shot."""
-    project = Place("Project", shot.scene.parent, "IN", "The folder of the scene, with all that lies below it")
-    cache = Place("Cache", shot.cache, "INOUT", "The folder of the cache")
-    pictures = Place("Pictures", shot.pictures, "INOUT", "The folder of the pictures")
-    roots = tuple(Place(f"Root_{root}", path, "IN", f"The folder that the scene calls {root}") for root, path in shot.roots)
+    project = JobPath("Project", shot.scene.parent, "IN", "The folder of the scene, with all that lies below it")
+    cache = JobPath("Cache", shot.cache, "INOUT", "The folder of the cache")
+    pictures = JobPath("Pictures", shot.pictures, "INOUT", "The folder of the pictures")
+    roots = tuple(JobPath(f"Root_{root}", path, "IN", f"The folder that the scene calls {root}") for root, path in shot.roots)
     between = f"{shot.first}..{shot.last}"
     named = zip(shot.roots, roots, strict=True)
-    granted: list[Word] = [word for (root, _), place in named for word in ("--root", Arg(f"{root}=", place))]
+    granted: list[Word] = [word for (root, _), place in named for word in ("--root", PathArgument(f"{root}=", place))]
     simulate: list[Word] = [
         "antdsl",
         "run",
-        Arg("", project, f"/{shot.scene.name}"),
+        PathArgument("", project, f"/{shot.scene.name}"),
         "--frames",
         between,
         "--out",
-        Arg("", cache),
+        PathArgument("", cache),
     ]
-    draw: list[Word] = ["antdsl", "render", Arg("", cache), "--out", Arg("", pictures)]
+    draw: list[Word] = ["antdsl", "render", PathArgument("", cache), "--out", PathArgument("", pictures)]
     look = (*(("--every", str(shot.every)) if shot.every > 1 else ()), *shot.render)
     steps = [
         Step(
@@ -106,7 +106,7 @@ def shot_job(shot: Shot, name: str) -> Job:
             "Pictures are drawn in chunks, each on any machine; those that are there, whole, are not drawn again",
             (*draw, "--frames", CHUNKED, "--shot", between, *look, "--resume"),
             ("simulation",),
-            chunks(shot.first, shot.last, shot.every, shot.chunk),
+            frame_chunks(shot.first, shot.last, shot.every, shot.chunk),
             30,
         ),
     ]
@@ -116,15 +116,19 @@ def shot_job(shot: Shot, name: str) -> Job:
     return Job(name, (project, *roots, cache, pictures), tuple(steps))
 
 
-def chunks(first: int, last: int, every: int, count: int) -> tuple[str, ...]:
+def frame_chunks(first: int, last: int, every: int, count: int) -> tuple[str, ...]:
     """Ranges of frames that have `count` pictures each, the last perhaps fewer; each begins with a picture."""
     starts = range(first, last + 1, every * count)
     return tuple(f"{start}..{min(start + every * count - 1, last)}" for start in starts)
 
 
-def words(command: Sequence[Word], frames: str, paths: Mapping[str, str]) -> list[str]:
+def command_words(command: Sequence[Word], frames: str, paths: Mapping[str, str]) -> list[str]:
     """Return a command as text, with a task's `frames` and the `paths` of places inserted."""
     return [
-        f"{word.prefix}{paths[word.place.name]}{word.suffix}" if isinstance(word, Arg) else frames if word == CHUNKED else word
+        f"{word.prefix}{paths[word.place.name]}{word.suffix}"
+        if isinstance(word, PathArgument)
+        else frames
+        if word == CHUNKED
+        else word
         for word in command
     ]

@@ -5,13 +5,13 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl.machine_code.kernels import BOOL, F64, I8, I32, I64, Array1, fetch_ahead, independent, inlined, kernel, scratch
-from antdsl.numerics.sorting import place_among
+from antdsl.numerics.sorting import lower_bound
 
 _TOGETHER = 64  # points with cells prefetched together
 
 
 @inlined
-def _along(place: F64, cell: F64, low: I64, size: I64) -> I64:
+def _axis_index(place: F64, cell: F64, low: I64, size: I64) -> I64:
     """The number of a voxel along one axis of the box, -1 outside."""
     step = np.floor(place / cell + 0.5) - np.float64(low)
     if step >= 0.0 and step < np.float64(size):
@@ -24,7 +24,7 @@ def _find_cell(direct: Array1[I32], listed: BOOL, keys: Array1[I64], shift: I64,
     """The cell of a key, -1 for none."""
     if listed:
         return np.int64(direct[key])
-    a = place_among(keys, key, np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1]))
+    a = lower_bound(keys, key, np.int64(start[key >> shift]), np.int64(start[(key >> shift) + 1]))
     return a if a < keys.size and keys[a] == key else -1
 
 
@@ -43,7 +43,7 @@ class CellIndex(NamedTuple):
 
 
 @kernel
-def located(
+def locate_cells(
     points: tuple[Array1[F64], Array1[F64], Array1[F64]],
     side: Array1[I8],
     index: CellIndex,
@@ -65,9 +65,9 @@ def located(
     for low in range(begin, end, _TOGETHER):
         high = min(low + _TOGETHER, end)
         for n in independent(low, high):
-            x = _along(points[0][n], cell, box[0], size[0])
-            y = _along(points[1][n], cell, box[1], size[1])
-            z = _along(points[2][n], cell, box[2], size[2])
+            x = _axis_index(points[0][n], cell, box[0], size[0])
+            y = _axis_index(points[1][n], cell, box[1], size[1])
+            z = _axis_index(points[2][n], cell, box[2], size[2])
             key = -1
             if x >= 0 and y >= 0 and z >= 0:
                 key = ((x * size[1] + y) * size[2] + z) * 6 + side[n]

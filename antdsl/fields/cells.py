@@ -14,9 +14,9 @@ from antdsl import limits
 from antdsl.casting.faces import nearest_on_triangle
 from antdsl.casting.rasterise import triangle_cells
 from antdsl.casting.rays import Mesh
-from antdsl.fields.cell_lookup import CellIndex, located
-from antdsl.fields.numbered import NO_CELLS, NO_INDEX, Index, rank, summed
-from antdsl.ground.mesh.topology import facing
+from antdsl.fields.cell_lookup import CellIndex, locate_cells
+from antdsl.fields.numbered import NO_CELLS, NO_INDEX, BlockIndex, ranks_in_groups, sum_by_key
+from antdsl.ground.mesh.topology import facing_sides
 from antdsl.numerics import parallel, stored_tables
 
 Floats = NDArray[np.float64]
@@ -78,32 +78,32 @@ class SurfaceCells:
         self._size = np.floor(scaled.max(axis=(0, 1))).astype(np.int64) - self._low + 1 if len(corners) else np.ones(3, np.int64)
         normal = across / np.maximum(area, 1e-300)[:, None]
         work = partial(self._gather, corners, scaled, normal, cap)
-        tables = stored_tables.stored("surface cells", len(corners), (corners, self.cell), work)
+        tables = stored_tables.get_or_compute("surface cells", len(corners), (corners, self.cell), work)
         if len(tables["keys"]) > cap:
             raise FieldTooFine(len(tables["keys"]), cap)
         self._keys: NDArray[np.int64] = tables["keys"]
         self.position: Floats = tables["position"]
         self.normal: Floats = tables["normal"]
         self._voxels = self._keys // 6
-        self._start_table = self._starts()
+        self._start_table = self._list_starts()
         self._tables: dict[int, Cells] = {}
 
     def _gather(self, corners: Floats, scaled: Floats, normal: Floats, cap: int) -> stored_tables.Tables:
         """Return keys, positions and normals of all cells, from the part of each triangle in each voxel that it touches."""
-        side = facing(normal)
+        side = facing_sides(normal)
         keys, sums = np.empty(0, np.int64), np.empty((0, 7))
         waiting: list[tuple[NDArray[np.int64], Floats]] = []
         for voxel, face in triangle_cells(scaled):
             middle = voxel.astype(np.float64) * self.cell
             point = nearest_on_triangle(middle, corners[face])
             part = np.column_stack([point, normal[face], np.ones(len(face))])
-            waiting.append(summed(self._key(voxel - self._low, side[face]), part))
+            waiting.append(sum_by_key(self._key(voxel - self._low, side[face]), part))
             if sum(len(k) for k, _ in waiting) > max(1 << 20, len(keys)):
-                keys, sums = summed(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
+                keys, sums = sum_by_key(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
                 waiting.clear()
                 if len(keys) > cap:
                     raise FieldTooFine(len(keys), cap)
-        keys, sums = summed(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
+        keys, sums = sum_by_key(*(np.concatenate(c) for c in zip((keys, sums), *waiting, strict=True)))
         length = np.sqrt((sums[:, 3:6] ** 2).sum(axis=1))[:, None]
         return {"keys": keys, "position": sums[:, :3] / sums[:, 6:], "normal": sums[:, 3:6] / np.maximum(length, 1e-300)}
 
@@ -119,7 +119,7 @@ class SurfaceCells:
         key: NDArray[np.int64] = ((voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2]) * 6 + side
         return key
 
-    def _starts(self) -> NDArray[np.int32] | None:
+    def _list_starts(self) -> NDArray[np.int32] | None:
         """The first cell of every voxel of the box, if the box is small enough for a table."""
         count = int(self._size[0]) * int(self._size[1]) * int(self._size[2])
         if count > _DENSE:
@@ -129,11 +129,11 @@ class SurfaceCells:
         return table
 
     @cached_property
-    def _most(self) -> int:
+    def _most_per_voxel(self) -> int:
         """Cells in the fullest voxel."""
         return int(np.unique(self._voxels, return_counts=True)[1].max(initial=0))
 
-    def _in_voxel(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _cell_range(self, voxel: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the first cell and the number of cells in voxels [n,3], relative to the box's corner; none outside the box."""
         within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         flat = np.where(within, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0)
@@ -145,23 +145,28 @@ class SurfaceCells:
 
     def _cells_in(self, voxel: NDArray[np.int64]) -> Iterator[tuple[NDArray[np.int64], NDArray[np.bool_]]]:
         """Yield the cells of voxels [n,3], one per voxel at a time, and whether there is one."""
-        first, count = self._in_voxel(voxel)
-        for step in range(self._most):
+        first, count = self._cell_range(voxel)
+        for step in range(self._most_per_voxel):
             yield np.minimum(first + step, len(self) - 1), step < count
 
     def lookup(self, points: Floats, normals: Floats) -> Cells:
         """Return the cell of each point [n,3] on a face with a normal [n,3] (the face's own, not the agent's side).
 
         If there is none, return the nearest of the 27 voxels around it that does not have the opposite side; else -1."""
-        return self.lookup_sides(points, facing(np.asarray(normals).reshape(-1, 3)))
+        return self.lookup_sides(points, facing_sides(np.asarray(normals).reshape(-1, 3)))
 
     def lookup_sides(self, points: Floats, side: NDArray[np.int8]) -> Cells:
         """As `lookup`, for faces with sides int8[n] as from `facing`."""
-        return self.follow(points, side, None)[0]
+        return self.lookup_again(points, side, None)[0]
 
-    def follow(
-        self, points: Floats, side: NDArray[np.int8], previous_cells: Known | None, out: Cells | None = None, threads: int = 1
-    ) -> tuple[Cells, Known | None]:
+    def lookup_again(
+        self,
+        points: Floats,
+        side: NDArray[np.int8],
+        previous_cells: KnownCells | None,
+        out: Cells | None = None,
+        threads: int = 1,
+    ) -> tuple[Cells, KnownCells | None]:
         """As `lookup_sides`, with the results for the same number of points before: only points in another voxel or on another
         side are looked up. `out`: int32[n] for the result. Also returns the state for the next call; None if keys are
         unordered."""
@@ -171,10 +176,10 @@ class SurfaceCells:
             cell.fill(-1)
             return cell, None
         known = None
-        if self._numbered:
-            missing, known = self._located(points, side, previous_cells, cell, threads)
+        if self._has_kernel_lookup:
+            missing, known = self._locate_cells(points, side, previous_cells, cell, threads)
         else:
-            missing = self._searched(points, side, cell)
+            missing = self._search_cells(points, side, cell)
         if missing:
             missed = np.flatnonzero(cell < 0)
             missed = missed[np.isfinite(points[missed]).all(axis=1)]
@@ -183,32 +188,32 @@ class SurfaceCells:
             cell[missed] = self._nearby(points[missed], voxel, side[missed].astype(np.int64))
         return cell, known
 
-    def _located(
-        self, points: Floats, side: NDArray[np.int8], previous_cells: Known | None, cell: Cells, threads: int
-    ) -> tuple[int, Known]:
+    def _locate_cells(
+        self, points: Floats, side: NDArray[np.int8], previous_cells: KnownCells | None, cell: Cells, threads: int
+    ) -> tuple[int, KnownCells]:
         """Write the cell of each point's voxel and side, -1 for none; return how many have none, and the state for the next
         call."""
         known = previous_cells
         if known is None or known.of is not self or len(known.key) != len(points):
-            known = Known(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
+            known = KnownCells(self, np.full(len(points), -1), np.full(len(points), -1, np.int32))
         index, direct = (self._index, NO_CELLS) if self._direct is None else (NO_INDEX, self._direct)
         keys = CellIndex(self.cell, self._low, self._size, direct, self._keys, index.shift, index.start)
         along = tuple(np.ascontiguousarray(points[:, axis]) for axis in range(3))
-        work = partial(located, along, side, keys, known.key, known.cell, cell)
+        work = partial(locate_cells, along, side, keys, known.key, known.cell, cell)
         return sum(parallel.in_parts(work, len(points), threads, parallel.LIGHT)), known
 
-    def _searched(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
+    def _search_cells(self, points: Floats, side: NDArray[np.int8], cell: Cells) -> int:
         """Do the same for unordered keys; return how many points have none."""
         key = np.empty(len(points), np.int64)
         within = np.empty(len(points), np.bool_)
         for a in range(0, len(points), _CHUNK):
             rows = slice(a, a + _CHUNK)
             self._keys_at(points[rows], side[rows], key[rows], within[rows])
-        cell[:] = self._find(key, within)
+        cell[:] = self._find_cells(key, within)
         return int(np.count_nonzero(cell < 0))
 
     @property
-    def _numbered(self) -> bool:
+    def _has_kernel_lookup(self) -> bool:
         """Return whether keys ascend with cell numbers, or each key is listed, so that a kernel can find them."""
         return True
 
@@ -228,7 +233,7 @@ class SurfaceCells:
         key *= 6
         key += side
 
-    def _find(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
+    def _find_cells(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
         """The cell of each key that lies within the box, -1 for none."""
         if self._direct is not None:
             return np.where(within, self._direct.take(np.where(within, key, 0)), np.int32(-1))
@@ -242,8 +247,8 @@ class SurfaceCells:
         return cell
 
     @cached_property
-    def _index(self) -> Index:
-        return Index.of(self._keys, 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2]))
+    def _index(self) -> BlockIndex:
+        return BlockIndex.of(self._keys, 6 * int(self._size[0]) * int(self._size[1]) * int(self._size[2]))
 
     @cached_property
     def _direct(self) -> Cells | None:
@@ -263,11 +268,13 @@ class SurfaceCells:
         for offset in BLOCK:
             for at, has_cell in self._cells_in(voxel + np.array(offset)):
                 gap = ((self.position[at] - points) ** 2).sum(axis=1)
-                closer = has_cell & compatible(self.side_of(at), side) & (gap < distance)
+                closer = has_cell & are_compatible(self.side_of(at), side) & (gap < distance)
                 best, distance = np.where(closer, at, best), np.where(closer, gap, distance)
         return best
 
-    def _around(self, cells: NDArray[np.int64], column: Callable[[int, int], int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _neighbour_pairs(
+        self, cells: NDArray[np.int64], column: Callable[[int, int], int]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return pairs of one of some cells, numbered from 0, and a compatible cell in the voxels around it; sorted by both.
 
         In the column of voxels at offset (x, y), voxels up to `column(x, y)` above and below count; -1: none. Cells of a column
@@ -281,17 +288,17 @@ class SurfaceCells:
                 continue
             is_inside = (x + dx >= 0) & (x + dx < self._size[0]) & (y + dy >= 0) & (y + dy < self._size[1])
             base = np.where(is_inside, ((x + dx) * self._size[1] + (y + dy)) * self._size[2], 0)
-            first = self._first_in(base + np.maximum(z - far, 0))
-            last = self._first_in(base + np.minimum(z + far, self._size[2] - 1) + 1)
+            first = self._first_cell(base + np.maximum(z - far, 0))
+            last = self._first_cell(base + np.minimum(z + far, self._size[2] - 1) + 1)
             firsts.append(first)
             counts.append(np.where(is_inside, last - first, 0))
         first, count = np.stack(firsts, axis=1).ravel(), np.stack(counts, axis=1)
         own, flat = np.repeat(np.arange(len(cells)), count.sum(axis=1)), count.ravel()
         other = np.arange(own.size) + np.repeat(first - (np.cumsum(flat) - flat), flat)
-        compatible_pairs = np.flatnonzero(compatible(self.side_of(other), self.side_of(cells).take(own)))
+        compatible_pairs = np.flatnonzero(are_compatible(self.side_of(other), self.side_of(cells).take(own)))
         return own.take(compatible_pairs), other.take(compatible_pairs)
 
-    def _first_in(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _first_cell(self, voxel: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the number of cells in voxels before these, by voxel number in the box."""
         if self._start_table is not None:
             return self._start_table.take(voxel).astype(np.int64)
@@ -300,27 +307,27 @@ class SurfaceCells:
     @cached_property
     def links(self) -> Links:
         """Return which cells share a voxel or a face of their voxels, and do not face opposite directions."""
-        return self._linked(1)
+        return self._link_cells(1)
 
     @cached_property
     def diagonals(self) -> Links:
         """Return which cells share only an edge of their voxels, and do not face opposite directions."""
-        return self._linked(2)
+        return self._link_cells(2)
 
-    def _linked(self, steps: int) -> Links:
+    def _link_cells(self, steps: int) -> Links:
         """Return pairs of cells in voxels at most one step apart along each axis, and at most `steps` along all together. With 2,
         exactly 2."""
         counts, cells = [np.zeros(1, np.int64)], [np.empty(0, np.int32)]
         for a in range(0, len(self), _CHUNK):
             chosen = np.arange(a, min(a + _CHUNK, len(self)))
-            own, other = self._around(chosen, lambda x, y: min(steps - abs(x) - abs(y), 1))
-            is_neighbour = self._steps(chosen.take(own), other) == 2 if steps == 2 else other != own + a
+            own, other = self._neighbour_pairs(chosen, lambda x, y: min(steps - abs(x) - abs(y), 1))
+            is_neighbour = self._voxel_steps(chosen.take(own), other) == 2 if steps == 2 else other != own + a
             others = np.flatnonzero(is_neighbour)
             counts.append(np.bincount(own.take(others), minlength=len(chosen)))
             cells.append(other.take(others).astype(np.int32))
         return Links(np.cumsum(np.concatenate(counts)), np.concatenate(cells))
 
-    def _steps(self, one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.int64]:
+    def _voxel_steps(self, one: NDArray[np.int64], two: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return the number of voxels between cells, summed over all axes."""
         steps = np.zeros(len(one), np.int64)
         voxels = [self._voxels.take(cells) for cells in (one, two)]
@@ -340,11 +347,11 @@ class SurfaceCells:
         """For each cell the nearest `k` of its 3³ block, itself included, by (distance, cell), int32[n,k], ascending."""
         if k not in self._tables:
             inputs = (self._keys, self._size, self.position, float(k))
-            work = partial(self._nearest_of_all, k)
-            self._tables[k] = stored_tables.stored("nearest cells", len(self), inputs, work, "cells")["nearest"]
+            work = partial(self._nearest_table, k)
+            self._tables[k] = stored_tables.get_or_compute("nearest cells", len(self), inputs, work, "cells")["nearest"]
         return self._tables[k]
 
-    def _nearest_of_all(self, k: int) -> stored_tables.Tables:
+    def _nearest_table(self, k: int) -> stored_tables.Tables:
         return {"nearest": self._nearest(np.arange(len(self)), k)}
 
     def _nearest(self, cells: NDArray[np.int64], k: int) -> Cells:
@@ -352,7 +359,7 @@ class SurfaceCells:
         table = np.full((len(cells), k), len(self), np.int32)
         for a in range(0, len(cells), _CHUNK):
             chosen = cells[a : a + _CHUNK]
-            own, other = self._around(chosen, lambda x, y: 1)
+            own, other = self._neighbour_pairs(chosen, lambda x, y: 1)
             count = np.bincount(own, minlength=len(chosen))
             crowded = np.flatnonzero(count > k)
             if crowded.size:  # most have no more than so many around
@@ -363,17 +370,17 @@ class SurfaceCells:
                 for axis in range(3):
                     gap += (other_place[:, axis] - place[:, axis]) ** 2
                 order = np.lexsort((two, gap, one))
-                left = crowded_pairs[order[rank(count[crowded]) >= k]]
+                left = crowded_pairs[order[ranks_in_groups(count[crowded]) >= k]]
                 is_nearest = np.ones(len(own), np.bool_)
                 is_nearest[left] = False
                 own, other = own[is_nearest], other[is_nearest]
                 count = np.minimum(count, k)
-            table[a + own, rank(count)] = other
+            table[a + own, ranks_in_groups(count)] = other
         return table
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class KnownCells:
     """Lookup results of points: `of` which cells; the `key` of each point's voxel and side (-1 outside the box); and the `cell`
     there, -1 for none."""
 
@@ -382,7 +389,7 @@ class Known:
     cell: Cells
 
 
-def compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
+def are_compatible(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Return whether sides are not opposite, so that an agent can walk from one to the other within one cell."""
     other: NDArray[np.bool_] = (a ^ 1) != b
     return other

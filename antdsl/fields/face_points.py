@@ -32,12 +32,12 @@ class LatticeTooFine(ValueError):
         self.needed = needed
 
 
-def slots_of(cuts: Index) -> int:
+def count_slots(cuts: Index) -> int:
     """Return the number of slots of faces with `cuts` cuts along an edge."""
     return int(((cuts + 1) * (cuts + 2) // 2).sum())
 
 
-def cuts_for(longest: Floats, cell: float | Floats) -> Index:
+def count_cuts(longest: Floats, cell: float | Floats) -> Index:
     """Return powers of two that cut edges of these lengths (mm) into pieces of at most `cell`; 1 where `cell` is infinite."""
     with np.errstate(divide="ignore"):
         pieces = np.clip(longest / cell, 1.0, _MOST_CUTS)
@@ -59,7 +59,7 @@ class Lattice:
         return Lattice(cuts, np.concatenate(([0], np.cumsum(sizes)))[:-1])
 
     def __len__(self) -> int:
-        return slots_of(self.cuts)
+        return count_slots(self.cuts)
 
     def locate(self, face: Index, b1: Floats, b2: Floats) -> tuple[Index, Floats]:
         """Return the three slots around each position (3, n), and their weights (3, n)."""
@@ -112,7 +112,7 @@ class Lattice:
         return groups
 
 
-def welded(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
+def weld_points(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
     """Return a number for each position (n, 3), equal for equal positions of one owner, and the count of numbers."""
     if not len(positions):
         return np.empty(0, np.int64), 0
@@ -128,7 +128,7 @@ def welded(positions: Floats, owner: NDArray[np.integer]) -> tuple[Index, int]:
     return point, int(fresh[-1]) + 1
 
 
-def cell_of(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> float:
+def cell_size(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> float:
     """Return the edge (mm) of a flow's cells: its own `cell`, or a default for a ground of that extent (mm)."""
     if flow.cell is not None:
         return flow.cell
@@ -140,14 +140,14 @@ def cell_of(flow: SpreadFlow | BorderFlow | SolvedFlow, extent: float) -> float:
     return min(across, flow.clearance / 2) if flow.clearance else across
 
 
-def flow_cuts(flow: SpreadFlow | BorderFlow | SolvedFlow, longest: Floats, extent: float) -> Index:
+def edge_pieces(flow: SpreadFlow | BorderFlow | SolvedFlow, longest: Floats, extent: float) -> Index:
     """Return how many pieces the edges of each face are cut into. `longest` (n): the longest edge (mm) of each face, 0 where the
     flow is not needed. A default cell is enlarged if there would be too many points. Raises LatticeTooFine if the scene's cell is
     too small."""
-    cell = cell_of(flow, extent)
+    cell = cell_size(flow, extent)
     while True:
-        cuts = cuts_for(longest, cell)
-        points = slots_of(cuts)
+        cuts = count_cuts(longest, cell)
+        points = count_slots(cuts)
         if flow.cell is not None and points > limits.FLOW_POINTS:
             raise LatticeTooFine(points)
         if flow.cell is not None or points <= max(_OWN_POINTS, 3 * len(longest)):

@@ -25,7 +25,7 @@ _CURVE_PIECE = 1.0  # mm, as for curves with queries for their nearest point
 _LIFT = 0.5  # cosine below which a vector that is laid down loses length
 
 
-def laid(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
+def lay_on_faces(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
     """Return the parts c, s of vectors (n, 3) along faces with these axes (3, n). Up to 60 degrees off the face the length is
     preserved."""
     c, s = (axis1 * v.T).sum(axis=0), (axis2 * v.T).sum(axis=0)
@@ -35,7 +35,7 @@ def laid(v: Floats, axis1: Floats, axis2: Floats) -> tuple[Floats, Floats]:
     return c * factor, s * factor
 
 
-def laid_by_up(v: Floats, up: Floats) -> Floats:
+def lay_across_up(v: Floats, up: Floats) -> Floats:
     """Project vectors onto the plane perpendicular to `up` (n, 3), for agents that stand on no face."""
     across = v - (v * up).sum(axis=1)[:, None] * up
     flat, length = (np.sqrt((w * w).sum(axis=1)) for w in (across, v))
@@ -43,7 +43,7 @@ def laid_by_up(v: Floats, up: Floats) -> Floats:
     return down
 
 
-def falling(distance: Floats, radius: float | None, word: str) -> Floats:
+def falloff(distance: Floats, radius: float | None, word: str) -> Floats:
     """Return the strength at a distance: 1 at the source, 0 at `radius` and beyond."""
     if radius is None:
         return np.ones_like(distance)
@@ -78,11 +78,11 @@ class Flow:
         vectors, known = np.zeros((3, len(place))), np.zeros(len(place), bool)
         if meshes is not None:
             face, known = meshes.on_faces(footing)
-            vectors = meshes.laid_out(face, *self.along_face(face, footing.b1, footing.b2))
+            vectors = meshes.to_world_vectors(face, *self.along_face(face, footing.b1, footing.b2))
         if not known.all():
             vectors[:, ~known] = 0.0
             if self.source is not None:
-                vectors[:, ~known] = laid_by_up(self.source(place[~known]), up[~known]).T
+                vectors[:, ~known] = lay_across_up(self.source(place[~known]), up[~known]).T
         return tuple(np.ascontiguousarray(part, np.float32) for part in vectors)  # type: ignore[return-value]
 
     def reaches(self, meshes: Meshes | None, footing: Footing, place: Floats, up: Floats) -> NDArray[np.bool_]:
@@ -124,7 +124,7 @@ class Map:
 # --- about a curve or places -----------------------------------------------------------------------------------------
 
 
-def nearest(target: Target, positions: Floats) -> tuple[Floats, Floats, Floats]:
+def nearest_on_target(target: Target, positions: Floats) -> tuple[Floats, Floats, Floats]:
     """Return distance (n,), nearest position (n, 3) and unit tangent (n, 3; zero for single points) of a target."""
     if target.line:
         closest = Curve(target.positions, _CURVE_PIECE).closest(*positions.T)
@@ -137,11 +137,11 @@ def nearest(target: Target, positions: Floats) -> tuple[Floats, Floats, Floats]:
     return distance, target.positions[which], np.zeros_like(positions)
 
 
-def spread(flow: SpreadFlow, target: Target) -> Source:
+def make_spread_source(flow: SpreadFlow, target: Target) -> Source:
     """Return the vectors of a flow around a target, which is already in the world's axes and origin."""
 
     def vectors(positions: Floats) -> Floats:
-        distance, point, along = nearest(target, positions)
+        distance, point, along = nearest_on_target(target, positions)
         direction = along
         if flow.gather and flow.radius is not None:
             direction = along + (point - positions) * (flow.gather / flow.radius)
@@ -150,6 +150,6 @@ def spread(flow: SpreadFlow, target: Target) -> Source:
             away = positions - point
             away /= np.where(distance > 1e-9, distance, 1.0)[:, None]
             direction = away if flow.direction == "away" else -away
-        return direction * (falling(distance, flow.radius, flow.falloff) * flow.strength)[:, None]
+        return direction * (falloff(distance, flow.radius, flow.falloff) * flow.strength)[:, None]
 
     return vectors

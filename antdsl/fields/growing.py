@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.casting.rays import Mesh
-from antdsl.fields.cells import BLOCK, Cells, Floats, SurfaceCells, compatible
-from antdsl.fields.numbered import summed
-from antdsl.ground.mesh.topology import facing
+from antdsl.fields.cells import BLOCK, Cells, Floats, SurfaceCells, are_compatible
+from antdsl.fields.numbered import sum_by_key
+from antdsl.ground.mesh.topology import facing_sides
 from antdsl.machine_code.kernels import F64, I32, I64, Array1, Array2, inlined, kernel, scratch
 
 _GROWTH_DIVISOR = 8  # cells are added in rooms of this share of what is there, so that most steps move nothing
@@ -44,9 +44,9 @@ class GrowingCells(SurfaceCells):
         voxel = np.floor(points / self.cell + 0.5).astype(np.int64) - self._low
         within = ((voxel >= 0) & (voxel < self._size)).all(axis=1)
         points, normals, voxel = points[within], normals[within], voxel[within]
-        key = self._key(voxel, facing(normals))
-        fresh = self._find(key, np.ones(len(key), np.bool_)) < 0
-        keys, sums = summed(key[fresh], np.column_stack([points[fresh], normals[fresh], np.ones(int(fresh.sum()))]))
+        key = self._key(voxel, facing_sides(normals))
+        fresh = self._find_cells(key, np.ones(len(key), np.bool_)) < 0
+        keys, sums = sum_by_key(key[fresh], np.column_stack([points[fresh], normals[fresh], np.ones(int(fresh.sum()))]))
         normal = sums[:, 3:6] / np.maximum(np.sqrt((sums[:, 3:6] ** 2).sum(axis=1)), 1e-300)[:, None]
         return self.add(keys, np.concatenate([sums[:, :3] / sums[:, 6:], normal], axis=1))
 
@@ -55,7 +55,7 @@ class GrowingCells(SurfaceCells):
         count = min(len(keys), max(self._cap - self.used, 0))
         if not count:
             return np.empty(0, np.int64)
-        self._make_room(self.used + count)
+        self._grow_capacity(self.used + count)
         new = np.arange(self.used, self.used + count)
         self.used += count
         self._keys[new], self.position[new], self.normal[new] = keys[:count], positions[:count, :3], positions[:count, 3:]
@@ -66,7 +66,7 @@ class GrowingCells(SurfaceCells):
             self._sorted = np.argsort(self._keys[: self.used], kind="stable")
         self.__dict__.pop("links", None)
         self.__dict__.pop("diagonals", None)
-        changed = np.unique(self._around(new, lambda x, y: 1)[1])
+        changed = np.unique(self._neighbour_pairs(new, lambda x, y: 1)[1])
         for k, table in self._tables.items():
             if self._direct is not None:
                 numbers = (self._voxels, self._keys)
@@ -82,7 +82,7 @@ class GrowingCells(SurfaceCells):
         nearby(self._direct, self._size, self.position, points, voxel, side, best)
         return best
 
-    def _make_room(self, needed: int) -> None:
+    def _grow_capacity(self, needed: int) -> None:
         if needed <= len(self):
             return
         old_count = len(self)
@@ -96,19 +96,21 @@ class GrowingCells(SurfaceCells):
             self._tables[k] = grown
 
     @property
-    def _numbered(self) -> bool:
+    def _has_kernel_lookup(self) -> bool:
         return self._direct is not None
 
-    def _find(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
+    def _find_cells(self, key: NDArray[np.int64], within: NDArray[np.bool_]) -> Cells:
         if self._direct is not None:
-            return super()._find(key, within)
+            return super()._find_cells(key, within)
         if not len(self._sorted):
             return np.full(len(key), -1, np.int32)
         keys = self._keys.take(self._sorted)
         at = np.minimum(keys.searchsorted(key), len(keys) - 1)
         return np.where(within & (keys.take(at) == key), self._sorted.take(at), -1).astype(np.int32)
 
-    def _around(self, cells: NDArray[np.int64], column: Callable[[int, int], int]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _neighbour_pairs(
+        self, cells: NDArray[np.int64], column: Callable[[int, int], int]
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """As for fixed cells, with all voxels and sides in one pass: few cells are added in a step."""
         at = self._voxels[cells]
         voxel = np.stack([at // (self._size[1] * self._size[2]), at // self._size[2] % self._size[1], at % self._size[2]])
@@ -122,8 +124,8 @@ class GrowingCells(SurfaceCells):
         )
         keys = key[:, None, :] + np.arange(6)[None, :, None]
         inside = np.repeat(within[:, None, :], 6, axis=1)
-        near_cells = self._find(keys.ravel(), inside.ravel()).reshape(-1, len(cells))
-        near = compatible(self.side_of(np.maximum(near_cells, 0)), self.side_of(cells))
+        near_cells = self._find_cells(keys.ravel(), inside.ravel()).reshape(-1, len(cells))
+        near = are_compatible(self.side_of(np.maximum(near_cells, 0)), self.side_of(cells))
         other = np.sort(np.where(near, near_cells, -1).astype(np.int64), axis=0).T
         own, which = np.nonzero(other >= 0)
         return own, other[own, which]
@@ -132,12 +134,12 @@ class GrowingCells(SurfaceCells):
         within: NDArray[np.bool_] = np.logical_and.reduce((voxel >= 0) & (voxel < self._size), axis=1)
         key = np.where(within, (voxel[:, 0] * self._size[1] + voxel[:, 1]) * self._size[2] + voxel[:, 2], 0) * 6
         for side in range(6):
-            at = self._find(key + side, within).astype(np.int64)
+            at = self._find_cells(key + side, within).astype(np.int64)
             yield np.maximum(at, 0), at >= 0
 
 
 @inlined
-def _square(position: Array2[F64], at: I64, x: F64, y: F64, z: F64) -> F64:
+def _squared_distance(position: Array2[F64], at: I64, x: F64, y: F64, z: F64) -> F64:
     """The square of a cell's distance from a place."""
     dx, dy, dz = position[at, 0] - x, position[at, 1] - y, position[at, 2] - z
     return (dx * dx + dy * dy) + dz * dz
@@ -163,7 +165,7 @@ def nearest(
                         at = direct[((i * size[1] + j) * size[2] + m) * 6 + s]
                         if at < 0 or (s ^ 1) == side:
                             continue
-                        gap = _square(position, at, position[own, 0], position[own, 1], position[own, 2])
+                        gap = _squared_distance(position, at, position[own, 0], position[own, 1], position[own, 2])
                         place = count
                         while place > 0 and (gaps[place - 1] > gap or (gaps[place - 1] == gap and candidates[place - 1] > at)):
                             gaps[place], candidates[place] = gaps[place - 1], candidates[place - 1]
@@ -200,6 +202,6 @@ def nearby(
                         at = direct[((i * size[1] + j) * size[2] + m) * 6 + s]
                         if at < 0 or (s ^ 1) == side[n]:
                             continue
-                        gap = _square(position, at, points[n, 0], points[n, 1], points[n, 2])
+                        gap = _squared_distance(position, at, points[n, 0], points[n, 1], points[n, 2])
                         if gap < least:
                             least, best[n] = gap, at

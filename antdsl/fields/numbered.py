@@ -13,7 +13,7 @@ _BLOCKS = 8_000_000  # at most, that tell about where a number is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Index:
+class BlockIndex:
     """Ascending numbers cut into blocks of 2**shift: where each begins, and the binary search steps needed in the fullest
     block."""
 
@@ -22,12 +22,12 @@ class Index:
     halvings: int
 
     @staticmethod
-    def of(numbers: NDArray[np.int64], end: int) -> Index:
+    def of(numbers: NDArray[np.int64], end: int) -> BlockIndex:
         """For numbers from 0 to before `end`."""
         shift = max(0, int(end // min(_BLOCKS, 4 * len(numbers) + 1)).bit_length())
         start = np.zeros((end >> shift) + 2, np.int32)
         np.cumsum(np.bincount(numbers >> shift, minlength=len(start) - 1), out=start[1:])
-        return Index(shift, start, int(np.diff(start).max(initial=0)).bit_length())
+        return BlockIndex(shift, start, int(np.diff(start).max(initial=0)).bit_length())
 
     def place(self, numbers: NDArray[np.int64], targets: NDArray[np.int64]) -> NDArray[np.int64]:
         """Return for each queried number how many of the numbers are less. Queries are from 0 to before the end."""
@@ -40,17 +40,17 @@ class Index:
         return low
 
 
-NO_INDEX = Index(0, np.zeros(1, np.int32), 0)
+NO_INDEX = BlockIndex(0, np.zeros(1, np.int32), 0)
 NO_CELLS = np.empty(0, np.int32)
 
 
-def rank(counts: NDArray[np.int64]) -> NDArray[np.int64]:
+def ranks_in_groups(counts: NDArray[np.int64]) -> NDArray[np.int64]:
     """Return 0, 1, … within each of consecutive groups with these counts."""
     ranks: NDArray[np.int64] = np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)
     return ranks
 
 
-def summed(keys: NDArray[np.int64], parts: Floats) -> tuple[NDArray[np.int64], Floats]:
+def sum_by_key(keys: NDArray[np.int64], parts: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Distinct keys, ascending, with the sums of their parts."""
     order = np.argsort(keys, kind="stable")
     keys, parts = keys[order], parts[order]

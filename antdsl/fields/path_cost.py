@@ -35,13 +35,13 @@ def path_costs(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
     Dijkstra's shortest paths along edges, over all points, are an upper bound. Then each point is computed again in their order
     from the edges across from it. The wave front is straight within a triangle (R. Kimmel and J. A. Sethian, Computing geodesic
     paths on manifolds, PNAS 95, 1998, p. 8432). Their update for obtuse corners is replaced by the edges' bound."""
-    bound = _along_edges(land, cost, start, first)
-    halves = _halves(land, cost)
+    bound = _edge_costs(land, cost, start, first)
+    halves = _make_corner_edges(land, cost)
     enough = _ENOUGH * float(np.median(halves.length)) if len(halves.length) else 0.0
     for _ in range(_PASSES):
         previous_bound = bound.copy()
-        _straighten(bound, halves)
-        _over_links(land, cost, bound)
+        _straighten_costs(bound, halves)
+        _relax_links(land, cost, bound)
         reached = np.isfinite(bound)
         if (previous_bound[reached] - bound[reached]).max(initial=0.0) <= enough:
             break
@@ -76,7 +76,7 @@ def _unit(v: Floats) -> Floats:
 # --- along edges -----------------------------------------------------------------------------------------------------
 
 
-def _along_edges(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
+def _edge_costs(land: Land, cost: Floats, start: Index, first: Floats) -> Floats:
     """Return the cost of the shortest paths along the edges of the open triangles and the links."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import dijkstra
@@ -112,7 +112,7 @@ def _link_costs(land: Land, cost: Floats) -> Floats:
     return price
 
 
-def _over_links(land: Land, cost: Floats, bound: Floats) -> None:
+def _relax_links(land: Land, cost: Floats, bound: Floats) -> None:
     price = _link_costs(land, cost)
     for a, b in ((0, 1), (1, 0)):
         np.minimum.at(bound, land.links[:, b], bound[land.links[:, a]] + price)
@@ -122,7 +122,7 @@ def _over_links(land: Land, cost: Floats, bound: Floats) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Halves:
+class _CornerEdges:
     """For each corner of each open triangle: its point, the ends of the opposite edge, that edge's length, the foot of the height
     on it, the height, and the cost per mm."""
 
@@ -134,12 +134,12 @@ class _Halves:
     height: Floats
     cost: Floats
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> _Halves:
+    def take_rows(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> _CornerEdges:
         ends = self.corner[rows], self.one[rows], self.two[rows]
-        return _Halves(*ends, self.length[rows], self.foot[rows], self.height[rows], self.cost[rows])
+        return _CornerEdges(*ends, self.length[rows], self.foot[rows], self.height[rows], self.cost[rows])
 
 
-def _halves(land: Land, cost: Floats) -> _Halves:
+def _make_corner_edges(land: Land, cost: Floats) -> _CornerEdges:
     t = land.triangles[land.open]
     corner, one, two = (np.concatenate([t[:, (k + shift) % 3] for k in range(3)]) for shift in range(3))
     edge, side = land.points[two] - land.points[one], land.points[corner] - land.points[one]
@@ -147,10 +147,10 @@ def _halves(land: Land, cost: Floats) -> _Halves:
     foot = (edge * side).sum(axis=1) / np.where(length > 0, length, 1.0)
     height = np.sqrt(np.maximum((side * side).sum(axis=1) - foot * foot, 0.0))
     sound = (length > 0) & (height > 0)
-    return _Halves(corner, one, two, length, foot, height, np.tile(cost[land.open], 3)).take(sound)
+    return _CornerEdges(corner, one, two, length, foot, height, np.tile(cost[land.open], 3)).take_rows(sound)
 
 
-def _straighten(bound: Floats, halves: _Halves) -> None:
+def _straighten_costs(bound: Floats, halves: _CornerEdges) -> None:
     """Lower `bound` in ascending order of its value: band by band of points, each from the opposite edges."""
     reached = np.isfinite(bound)
     rank = np.empty(len(bound), np.int64)
@@ -159,21 +159,21 @@ def _straighten(bound: Floats, halves: _Halves) -> None:
     band = rank * bands // max(1, int(reached.sum()))
     usable = np.flatnonzero(reached[halves.corner] & reached[halves.one] & reached[halves.two])
     usable = usable[np.lexsort((usable, halves.corner[usable], band[halves.corner[usable]]))]
-    ordered = halves.take(usable)
+    ordered = halves.take_rows(usable)
     ends = np.searchsorted(band[ordered.corner], np.arange(bands + 1))
     for first, last in zip(ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         if first < last:
-            part = ordered.take(slice(first, last))
+            part = ordered.take_rows(slice(first, last))
             begin = np.flatnonzero(np.concatenate(([True], part.corner[1:] != part.corner[:-1])))
             points = part.corner[begin]
             for _ in range(_ROUNDS):
-                lower = np.minimum(bound[points], np.minimum.reduceat(_fronts(bound, part), begin))
+                lower = np.minimum(bound[points], np.minimum.reduceat(_corner_costs(bound, part), begin))
                 if np.array_equal(lower, bound[points]):
                     break
                 bound[points] = lower
 
 
-def _fronts(bound: Floats, h: _Halves) -> Floats:
+def _corner_costs(bound: Floats, h: _CornerEdges) -> Floats:
     """Return the cost of a corner by the best straight path from the opposite edge."""
     from_one, rise = bound[h.one], (bound[h.two] - bound[h.one]) / h.length
     share = np.clip(rise / h.cost, -1 + 1e-12, 1 - 1e-12)

@@ -73,7 +73,7 @@ class PheromoneField:
         """Deposits that were not added yet, in each cell, in units; call `touch` after writing here."""
         return self._pending
 
-    def touch(self) -> None:
+    def mark_pending(self) -> None:
         """There are deposits that have not landed."""
         self._touched = True
 
@@ -117,7 +117,7 @@ class PheromoneField:
             self._touched = True
         return wrong
 
-    def leave(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
+    def set_remaining(self, cells: NDArray[np.integer[Any]], amounts: NDArray[np.float64]) -> None:
         """Set the amount that is left in each of these cells when the field steps, because agents took the rest. Cells are
         distinct."""
         self._left.append((cells, amounts))
@@ -134,13 +134,13 @@ class PheromoneField:
         most = largest_stable_diffusion(self.cells.cell, dt)
         if diffusion > most * (1 + 1e-9):
             raise ValueError(f"a diffusion of {diffusion:g} mm²/s is unstable here, the largest that is stable is {most:g} mm²/s")
-        self._stepped(float(np.float32(keep)), diffusion * dt / self.cells.cell**2, threads)
+        self._run_step_kernels(float(np.float32(keep)), diffusion * dt / self.cells.cell**2, threads)
 
-    def _stepped(self, keep: float, spread: float, threads: int) -> None:
+    def _run_step_kernels(self, keep: float, spread: float, threads: int) -> None:
         """The rest of a step by kernels."""
 
         def step(*how: Any) -> None:
-            parallel.in_parts(partial(stepped, self._padded, *how), len(self._pending), threads, parallel.LIGHT)
+            parallel.in_parts(partial(step_cells, self._padded, *how), len(self._pending), threads, parallel.LIGHT)
 
         lands = 0 if not self._touched else 1 if self.combine == "add" else 2
         self._touched = False
@@ -151,7 +151,7 @@ class PheromoneField:
         step(change, self._pending, spread, keep, *last[:2], FLUSH, last[2])
 
     @cached_property
-    def _laplacian(self) -> _Flow:
+    def _laplacian(self) -> _DiffusionFlow:
         """The flow into each cell for a unit of diffusion, as a sparse matrix with columns that sum to 0.
 
         Between two cells flows 4 / max(4, links of either) of their difference. This is the five-point stencil on a plane, and
@@ -160,8 +160,8 @@ class PheromoneField:
         (4, 1) / 6, with the same error in all directions (Patra and Karttunen, Stencils with isotropic discretization error for
         differential operators, Numerical Methods for Partial Differential Equations 22, 2006)."""
         if self.stencil == 4:
-            return _Flow(self._flow_along(self.cells.links, 1.0))
-        return _Flow(self._flow_along(self.cells.links, 2 / 3) + self._flow_along(self.cells.diagonals, 1 / 6))
+            return _DiffusionFlow(self._flow_along(self.cells.links, 1.0))
+        return _DiffusionFlow(self._flow_along(self.cells.links, 2 / 3) + self._flow_along(self.cells.diagonals, 1 / 6))
 
     def _flow_along(self, links: Links, share: float) -> Any:
         """Return the flow between linked cells as a sparse matrix: `share` times 4 / max(4, links of either)."""
@@ -184,15 +184,15 @@ class PheromoneField:
         -1."""
         own = np.asarray(cells).astype(np.int32, copy=False)
         best, value = np.empty(own.size, np.int64), np.empty(own.size)
-        strongest(own, self._block(k), self._padded, best, value)
+        find_strongest(own, self._block(k), self._padded, best, value)
         x, y, z = (self._seen[:, k].take(best) for k in range(3))
         return value.astype(np.float32), x, y, z
 
-    def askers(self, k: int) -> tuple[NDArray[np.int64], Cells]:
+    def cells_asking(self, k: int) -> tuple[NDArray[np.int64], Cells]:
         """Return for each cell those that have it among their nearest `k`, of cells that do not grow. They are rows of a table:
         cell a's are `cell[start[a]:start[a+1]]`, ascending."""
         if k not in self._askers:
-            self._askers[k] = _askers(self._block(k), len(self.cells))
+            self._askers[k] = _cells_asking(self._block(k), len(self.cells))
         return self._askers[k]
 
     def gradient(self, cells: Cells, k: int = NEAREST) -> tuple[Floats, Floats, Floats]:
@@ -221,7 +221,7 @@ class PheromoneField:
         stiff = moments[0] + moments[1] + moments[2] + 1e-30
         for m, (a, b) in enumerate(_SYMMETRIC):
             moments[m] += stiff * normal[a] * normal[b] * 1e3 + (1e-9 * stiff if m < 3 else 0.0)
-        return tuple(np.where(known, g, 0.0).astype(np.float32) for g in _solved(moments, slope))  # type: ignore[return-value]
+        return tuple(np.where(known, g, 0.0).astype(np.float32) for g in _solve_symmetric(moments, slope))  # type: ignore[return-value]
 
     def _block(self, k: int) -> Cells:
         return self.cells.nearest(k)
@@ -239,15 +239,15 @@ class PheromoneField:
         return np.ascontiguousarray(np.concatenate([self.cells.position.T, np.zeros((3, 1))], axis=1))
 
 
-def _askers(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
-    """As `PheromoneField.askers`, of a table of blocks [cells, k]."""
+def _cells_asking(block: Cells, cells: int) -> tuple[NDArray[np.int64], Cells]:
+    """As `PheromoneField.cells_asking`, of a table of blocks [cells, k]."""
     flat = block.ravel()
     start = np.zeros(cells + 2, np.int64)
     np.cumsum(np.bincount(flat, minlength=cells + 1), out=start[1:])
     return start, (stable_order(flat) // block.shape[1]).astype(np.int32)
 
 
-class _Flow:
+class _DiffusionFlow:
     """A symmetric flow between cells: inflow from the linked cells minus outflow."""
 
     def __init__(self, inward: Any) -> None:
@@ -262,12 +262,12 @@ class _Flow:
         cells."""
         if not len(self._change):
             self._change = np.empty(len(self._out))
-        work = partial(flowed, held, *self._links, self._out, self._change)
+        work = partial(flow_into_cells, held, *self._links, self._out, self._change)
         parallel.in_parts(work, len(self._out), threads)
         return self._change
 
 
-def _solved(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+def _solve_symmetric(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
     """x of M x = v for symmetric 3×3 M given as (xx, yy, zz, xy, xz, yz), by cofactors."""
     xx, yy, zz, xy, xz, yz = m
     c00, c01, c02 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
@@ -282,7 +282,7 @@ def _solved(m: NDArray[np.float64], v: NDArray[np.float64]) -> tuple[NDArray[np.
 
 
 @kernel
-def flowed(
+def flow_into_cells(
     held: Array1[F64],
     data: Array1[F64],
     cell: Array1[I32],
@@ -302,7 +302,7 @@ def flowed(
 
 
 @kernel
-def stepped(
+def step_cells(
     held: Array1[F64],
     change: Array1[F64],
     pending: Array1[I64],
@@ -338,7 +338,7 @@ def stepped(
 
 
 @kernel
-def strongest(own: Array1[I32], block: Array2[I32], held: Array1[F64], best: Array1[I64], value: Array1[F64]) -> None:
+def find_strongest(own: Array1[I32], block: Array2[I32], held: Array1[F64], best: Array1[I64], value: Array1[F64]) -> None:
     """For cells [n] (-1: none), write the first cell in their row of `block` [cells, k] with the largest amount, and that amount.
 
     `held` [cells + 1] has 0 for no cell; if all are 0, `best` is the cell itself and `value` 0."""

@@ -16,7 +16,7 @@ _LISTED = 1 << 22  # numbers in the table of blocks of which another one is made
 _PART = 512  # cells that are compared before those that differ are written down
 
 
-class Reached:
+class StrongCells:
     """Tells for which cells of a field one of the nearest `k` cells of their block has at least `least`, in float32. It says yes
     for all cells if `least` is not above 0, if cells grow, or if there are too many cells."""
 
@@ -37,20 +37,22 @@ class Reached:
         """Return uint8[cells + 1], above 0 for cells around which the present amounts of the field reach it. The last one is for
         no cell. The next call overwrites it."""
         if not self._all:
-            changed = self._differing(threads)
+            changed = self._find_changed(threads)
             if len(changed):
-                renew(changed, *self._of[0].askers(self._k), self._holds, self._count)
+                update_counts(changed, *self._of[0].cells_asking(self._k), self._holds, self._count)
         return self._count
 
-    def _differing(self, threads: int) -> NDArray[np.int64]:
+    def _find_changed(self, threads: int) -> NDArray[np.int64]:
         """Return the cells that crossed the threshold since the last call, in either direction."""
         (field, _, least), holds = self._of, self._holds
-        work = partial(differing, field.held, least, holds, self._changed)
-        return parallel.joined(parallel.in_parts(work, len(holds), threads, parallel.LIGHT), self._changed)[0]
+        work = partial(find_changed, field.held, least, holds, self._changed)
+        return parallel.join_parts(parallel.in_parts(work, len(holds), threads, parallel.LIGHT), self._changed)[0]
 
 
 @kernel
-def differing(held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64) -> tuple[I64, I64]:
+def find_changed(
+    held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array1[I64], begin: I64, end: I64
+) -> tuple[I64, I64]:
     """Write the cells `begin` to `end` (exclusive) for which `holds` is out of date into `changed`, from `begin` on. `holds` says
     whether the amount, in float32, is at least `least`. Return `begin`, and their count."""
     other, count = scratch(_PART, I32), 0
@@ -66,7 +68,7 @@ def differing(held: Array1[F64], least: F32, holds: Array1[BOOL], changed: Array
 
 
 @kernel
-def renew(changed: Array1[I64], start: Array1[I64], cell: Array1[I32], holds: Array1[BOOL], count: Array1[U8]) -> None:
+def update_counts(changed: Array1[I64], start: Array1[I64], cell: Array1[I32], holds: Array1[BOOL], count: Array1[U8]) -> None:
     """Flip `holds` for the cells `changed`. Update `count` of the cells with each of them in their block, listed from its `start`
     on in `cell`."""
     for n in range(changed.size):

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.fields import path_cost as cost
 from antdsl.fields.face_points import Lattice
-from antdsl.fields.flow import Flow, laid
+from antdsl.fields.flow import Flow, lay_on_faces
 from antdsl.fields.path_cost import Land
 from antdsl.ground.protocol import Floats, Footing, Index, Meshes
 
@@ -25,7 +25,7 @@ _SPREADS = 2  # how many points far a crowd is felt beyond the ground that it co
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Grounds:
+class CrossableGround:
     """A lattice over some faces of the ground, as land to cross.
 
     `point` is the point of each slot, `axis1`, `axis2` (3, slots) the axes of its face, `areas` (t,) those of the land's
@@ -41,12 +41,12 @@ class Grounds:
 
 
 @dataclass(slots=True, eq=False)
-class Solved(Flow):
+class PathFlow(Flow):
     """The flow downhill of the remaining cost of the path to the goal.
 
     Where a crowd counts or something moves, `begin` updates it when due; points and lattice stay the same."""
 
-    grounds: Grounds | None = None
+    grounds: CrossableGround | None = None
     cost: Floats | None = None  # (t,) of a mm, without agents
     start: Index | None = None
     first: Floats | None = None  # what is still to go from there
@@ -59,15 +59,15 @@ class Solved(Flow):
     reached: NDArray[np.bool_] | None = None  # from which points there is a path to the goal
     stores_reached: bool = False  # where a program reads it, it is part of the state
 
-    def solve(self) -> None:
+    def update_flow(self) -> None:
         """Compute the flow for the most recently recorded crowd."""
         g = self.grounds
         assert g is not None and self.cost is not None and self.start is not None and self.first is not None
-        price = self.cost if self.crowd is None else self.cost + self.crowding * self._shares(self.crowd)
+        price = self.cost if self.crowd is None else self.cost + self.crowding * self._crowd_shares(self.crowd)
         bound = cost.path_costs(g.land, price, self.start, self.first)
         self.reached = np.isfinite(bound)
         vectors = cost.directions(g.land, bound) * self.strength
-        self.c, self.s = laid(vectors[g.point], g.axis1, g.axis2)
+        self.c, self.s = lay_on_faces(vectors[g.point], g.axis1, g.axis2)
         self.c *= g.faces[g.lattice.faces()]
         self.s *= g.faces[g.lattice.faces()]
 
@@ -86,18 +86,20 @@ class Solved(Flow):
         nearest: Index = np.take_along_axis(slots, weights.argmax(axis=0)[None], axis=0)[0]
         return nearest
 
-    def _shares(self, crowd: NDArray[np.int64]) -> Floats:
+    def _crowd_shares(self, crowd: NDArray[np.int64]) -> Floats:
         """Return the share of each triangle that agents cover, smoothed slightly beyond them."""
         g = self.grounds
         assert g is not None
-        point_areas = self._spread(np.repeat(g.areas / 3, 3))
+        point_areas = self._sum_to_points(np.repeat(g.areas / 3, 3))
         share = crowd / _GRAIN / np.maximum(point_areas, 1e-9)
         for _ in range(_SPREADS):
-            share = self._spread(np.repeat(share[g.land.triangles].mean(axis=1) * g.areas / 3, 3)) / np.maximum(point_areas, 1e-9)
+            share = self._sum_to_points(np.repeat(share[g.land.triangles].mean(axis=1) * g.areas / 3, 3)) / np.maximum(
+                point_areas, 1e-9
+            )
         shares: Floats = np.minimum(share[g.land.triangles].mean(axis=1), _FULL)
         return shares
 
-    def _spread(self, each: Floats) -> Floats:
+    def _sum_to_points(self, each: Floats) -> Floats:
         assert self.grounds is not None
         land = self.grounds.land
         return np.bincount(land.triangles.ravel(), each, len(land.points)).astype(np.float64)
@@ -108,10 +110,10 @@ class Solved(Flow):
         if self.renew is not None:
             self.renew(world)
         if self.crowd is not None:
-            self.crowd = self.covered(world)
-        self.solve()
+            self.crowd = self.measure_coverage(world)
+        self.update_flow()
 
-    def covered(self, world: World) -> NDArray[np.int64]:
+    def measure_coverage(self, world: World) -> NDArray[np.int64]:
         """Return the ground area that agents of all species cover, summed at the lattice point nearest to each agent."""
         g, meshes = self.grounds, world.ground.meshes
         assert g is not None and meshes is not None
@@ -138,7 +140,7 @@ class Solved(Flow):
         for name, array in arrays.items():
             setattr(self, name, array)
         if self.renew is None:
-            self.solve()
+            self.update_flow()
 
 
 def least_cost(price: Floats) -> Floats:

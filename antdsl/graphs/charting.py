@@ -22,34 +22,34 @@ def charts(program: Program) -> tuple[Chart, ...]:
         for machine in species.machines:
             if machine.states:
                 alone = len(species.machines) == 1
-                all_charts.append(_chart(species.name if alone else f"{species.name}.{machine.name}", machine))
+                all_charts.append(_build_chart(species.name if alone else f"{species.name}.{machine.name}", machine))
     return tuple(all_charts)
 
 
-def _chart(title: str, machine: Machine) -> Chart:
+def _build_chart(title: str, machine: Machine) -> Chart:
     sketch = _Sketch(machine)
     for state in machine.states:
-        own = [change for change in state.transitions if not _anywhere(change)]
+        own = [change for change in state.transitions if not _is_from_any(change)]
         for number, change in enumerate(own, 1):
-            sketch.add(f"s{state.index}", change, state.name, f"{number}: " if len(own) > 1 else "")
-    everywhere = _from_any(machine)
+            sketch.add_change(f"s{state.index}", change, state.name, f"{number}: " if len(own) > 1 else "")
+    everywhere = _changes_from_any(machine)
     for number, (change, left_out) in enumerate(everywhere, 1):
-        sketch.add(sketch.any_but(left_out), change, "any", f"{number}: " if len(everywhere) > 1 else "")
+        sketch.add_change(sketch.add_any_box(left_out), change, "any", f"{number}: " if len(everywhere) > 1 else "")
     return Chart(title, tuple(sketch.boxes.values()), sketch.arrows())
 
 
-def _anywhere(change: Transition) -> bool:
+def _is_from_any(change: Transition) -> bool:
     return f".{ANYWHERE}->" in change.key
 
 
-def _from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
+def _changes_from_any(machine: Machine) -> list[tuple[Transition, tuple[str, ...]]]:
     """Return each change `from any` once, with the names of the states it excludes. Its target is not listed as excluded: a
     change never leads into the current state."""
     changes: dict[str, Transition] = {}
     where: dict[str, set[int]] = {}
     for state in machine.states:
         for change in state.transitions:
-            if _anywhere(change):
+            if _is_from_any(change):
                 changes.setdefault(change.key, change)
                 where.setdefault(change.key, set()).add(state.index)
     return [
@@ -70,27 +70,27 @@ class _Sketch:
             self.boxes[f"s{state.index}"] = _state_box(state)
         self._arrow("start", f"s{machine.start}", False, "", "")
 
-    def any_but(self, left_out: tuple[str, ...]) -> str:
+    def add_any_box(self, left_out: tuple[str, ...]) -> str:
         name = "any state" if not left_out else "any but " + ", ".join(left_out)
-        return self._extra("any", name, name)
+        return self._add_extra_box("any", name, name)
 
-    def _extra(self, kind: str, mark: str, name: str, details: str = "") -> str:
+    def _add_extra_box(self, kind: str, mark: str, name: str, details: str = "") -> str:
         key = f"{kind} {mark}"
         self.boxes.setdefault(key, Box(key, kind, name, "", _GREY, details))  # type: ignore[arg-type]
         return key
 
-    def add(self, source: str, change: Transition, name: str, number: str) -> None:
+    def add_change(self, source: str, change: Transition, name: str, number: str) -> None:
         """Add a change from a box; `number` is its order of evaluation, if there are several."""
-        words, details = number + _words(change), _details(change.span)
+        words, details = number + _condition_words(change), _details(change.span)
         if change.choices:
-            target = self._extra("choice", change.key, "", details)
+            target = self._add_extra_box("choice", change.key, "", details)
         elif change.previous:
-            target = self._extra("previous", name, "previous", "back to the state before")
+            target = self._add_extra_box("previous", name, "previous", "back to the state before")
         else:
             target = f"s{change.target}"
         self._arrow(source, target, change.interrupt, words, details)
         for state, weight in change.choices:
-            self._arrow(target, f"s{state}", False, _text(weight.span), details)
+            self._arrow(target, f"s{state}", False, _source_text(weight.span), details)
 
     def _arrow(self, source: str, target: str, interrupt: bool, words: str, details: str) -> None:
         self._changes.setdefault((source, target, interrupt), []).append((words, details))
@@ -104,38 +104,38 @@ class _Sketch:
 
 def _state_box(state: State) -> Box:
     label = " ".join(state.label.split())
-    lasts = f"for at least {_text(state.at_least.span)}" if state.at_least is not None else ""
-    details = " · ".join(part for part in (label, lasts, _place(state.span)) if part)
+    lasts = f"for at least {_source_text(state.at_least.span)}" if state.at_least is not None else ""
+    details = " · ".join(part for part in (label, lasts, _source_place(state.span)) if part)
     return Box(f"s{state.index}", "state", state.name, " · ".join(p for p in (label, lasts) if p), state.colour, details)
 
 
-def _opening(change: Transition) -> str:
+def _interrupt_words(change: Transition) -> str:
     if not change.interrupt:
         return ""
     return "interrupt when" if change.condition is not None else "interrupt"
 
 
-def _words(change: Transition) -> str:
+def _condition_words(change: Transition) -> str:
     """Return a change's condition as in the source: condition, required duration, and the claim that it takes."""
     parts = [
-        _opening(change),
-        _text(change.condition.span) if change.condition is not None else "",
-        f"after {_text(change.delay.span)}" if change.delay is not None else "",
-        f"held {_text(change.held.span)}" if change.held is not None else "",
-        _text(change.take.span) if change.take is not None else "",
+        _interrupt_words(change),
+        _source_text(change.condition.span) if change.condition is not None else "",
+        f"after {_source_text(change.delay.span)}" if change.delay is not None else "",
+        f"held {_source_text(change.held.span)}" if change.held is not None else "",
+        _source_text(change.take.span) if change.take is not None else "",
     ]
     return " ".join(part for part in parts if part)
 
 
-def _text(span: Span) -> str:
+def _source_text(span: Span) -> str:
     """A stretch of the text on one line, without comments."""
     return " ".join(re.sub(r"#[^\n]*", "", span.text).split())
 
 
-def _place(span: Span) -> str:
+def _source_place(span: Span) -> str:
     """Return file and line. The file is only its name, so that equal text gives an equal picture in any folder."""
     return f"{PurePath(span.source.path).name}:{span.source.line_column(span.start)[0]}"
 
 
 def _details(span: Span) -> str:
-    return f"{_place(span)}: {_text(span)}"
+    return f"{_source_place(span)}: {_source_text(span)}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from antdsl.graphs.drawing import THICK, THIN, dark, hexadecimal, ink_on, line_colours
+from antdsl.graphs.drawing import THICK, THIN, darken, hex_colour, ink_on, line_colours
 from antdsl.graphs.model import RGB, Arrow, Box, Chart
 
 
@@ -29,21 +29,21 @@ def dot(charts: Sequence[Chart]) -> str:
 def _box(box: Box) -> str:
     tip = f"tooltip={_text(box.details or box.name)}"
     if box.kind == "start":
-        return f'shape=circle, width=0.18, label="", fillcolor="{hexadecimal(box.colour)}", {tip}'
+        return f'shape=circle, width=0.18, label="", fillcolor="{hex_colour(box.colour)}", {tip}'
     if box.kind == "choice":
-        return f'shape=circle, width=0.18, label="", fillcolor="#ffffff", color="{hexadecimal(box.colour)}", {tip}'
+        return f'shape=circle, width=0.18, label="", fillcolor="#ffffff", color="{hex_colour(box.colour)}", {tip}'
     words = _text("\n".join(word for word in (box.name, box.label) if word))
     if box.kind != "state":
-        return f'style="rounded,dashed", label={words}, color="{hexadecimal(box.colour)}", {tip}'
-    fill, edge, ink = box.colour, dark(box.colour), ink_on(box.colour)
-    return f'label={words}, fillcolor="{hexadecimal(fill)}", color="{hexadecimal(edge)}", fontcolor="{hexadecimal(ink)}", {tip}'
+        return f'style="rounded,dashed", label={words}, color="{hex_colour(box.colour)}", {tip}'
+    fill, edge, ink = box.colour, darken(box.colour), ink_on(box.colour)
+    return f'label={words}, fillcolor="{hex_colour(fill)}", color="{hex_colour(edge)}", fontcolor="{hex_colour(ink)}", {tip}'
 
 
 def _arrow(arrow: Arrow, colour: RGB) -> str:
     words = f"label={_text(chr(10).join(arrow.lines))}, " if arrow.lines else ""
-    ink, thick = hexadecimal(dark(colour, 0.1)), THICK if arrow.interrupt else THIN
+    ink, thick = hex_colour(darken(colour, 0.1)), THICK if arrow.interrupt else THIN
     tip = f", tooltip={_text(arrow.details)}" if arrow.details else ""
-    return f'{words}color="{hexadecimal(colour)}", fontcolor="{ink}", penwidth={thick}{tip}'
+    return f'{words}color="{hex_colour(colour)}", fontcolor="{ink}", penwidth={thick}{tip}'
 
 
 def _text(text: str) -> str:

@@ -8,7 +8,7 @@ from math import hypot
 
 from antdsl.graphs.layout import LINE, NAME_SIZE, WORD_SIZE
 from antdsl.graphs.letters import width
-from antdsl.graphs.model import RGB, Box, Chart, Placed, PlacedArrow, PlacedChart, Point
+from antdsl.graphs.model import RGB, Box, Chart, PlacedArrow, PlacedBox, PlacedChart, Point
 
 WHITE: RGB = (1.0, 1.0, 1.0)
 INK: RGB = (0.13, 0.13, 0.16)
@@ -82,46 +82,46 @@ def draw(charts: Sequence[PlacedChart]) -> Drawing:
             right, down, high = 0.0, down + high + GAP, 0.0
         left, top = GAP + right, GAP + down
         shapes.append(Rectangle(left, top, wide, chart.height + TITLE_ROOM, 10, WHITE, FRAME))
-        shapes.append(_words(chart.chart.title, (left + wide / 2, top + 18), TITLE_SIZE, INK))
-        shapes += _chart(chart.moved(left + (wide - chart.width) / 2, top + TITLE_ROOM))
+        shapes.append(_centred_words(chart.chart.title, (left + wide / 2, top + 18), TITLE_SIZE, INK))
+        shapes += _chart_shapes(chart.shifted_by(left + (wide - chart.width) / 2, top + TITLE_ROOM))
         right, high = right + wide + GAP, max(high, chart.height + TITLE_ROOM)
         broadest = max(broadest, right)
     return Drawing(broadest + GAP, down + high + 2 * GAP, tuple(shapes))
 
 
-def _chart(chart: PlacedChart) -> Iterator[Shape]:
+def _chart_shapes(chart: PlacedChart) -> Iterator[Shape]:
     colours = line_colours(chart.chart)
     lines = list(zip(chart.arrows, colours, strict=True))
     for arrow, colour in lines:
-        yield from _line(arrow, colour)
+        yield from _line_shapes(arrow, colour)
     for box, place in chart.boxes:
-        yield from _box(box, place)
+        yield from _box_shapes(box, place)
     for arrow, colour in lines:
-        yield from _said(arrow, colour)
+        yield from _word_shapes(arrow, colour)
 
 
 def line_colours(chart: Chart) -> tuple[RGB, ...]:
     """Return a colour for each arrow: that of its source state, dark enough to be visible; interrupts have a separate colour."""
-    colours = {box.key: dark(box.colour) for box in chart.boxes}
+    colours = {box.key: darken(box.colour) for box in chart.boxes}
     return tuple(INTERRUPT if arrow.interrupt else colours[arrow.source] for arrow in chart.arrows)
 
 
-def hexadecimal(colour: RGB) -> str:
+def hex_colour(colour: RGB) -> str:
     """`#rrggbb`."""
     return "#" + "".join(f"{round(part * 255):02x}" for part in colour)
 
 
-def _line(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
+def _line_shapes(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
     """Yield the shapes of a line, with a white rim below so that it crosses other lines like a bridge."""
     thick = THICK if arrow.arrow.interrupt else THIN
-    head, end = _head(arrow.points[-2], arrow.points[-1], HEAD + thick)
-    path = _rounded((*arrow.points[:-1], end))
+    head, end = _arrow_head(arrow.points[-2], arrow.points[-1], HEAD + thick)
+    path = _round_corners((*arrow.points[:-1], end))
     yield Line(path, WHITE, thick + 4)
     yield Line(path, colour, thick, details=arrow.arrow.details)
     yield Line(head, colour, 0.0, closed=True)
 
 
-def _head(previous_point: Point, tip: Point, long: float) -> tuple[tuple[Point, ...], Point]:
+def _arrow_head(previous_point: Point, tip: Point, long: float) -> tuple[tuple[Point, ...], Point]:
     """Return the three corners of an arrow's head, and the point where the line meets it."""
     far = hypot(tip[0] - previous_point[0], tip[1] - previous_point[1]) or 1.0
     x, y = (tip[0] - previous_point[0]) / far, (tip[1] - previous_point[1]) / far
@@ -130,11 +130,11 @@ def _head(previous_point: Point, tip: Point, long: float) -> tuple[tuple[Point, 
     return (tip, (back[0] - y * half, back[1] + x * half), (back[0] + y * half, back[1] - x * half)), back
 
 
-def _rounded(points: Sequence[Point]) -> tuple[Point, ...]:
+def _round_corners(points: Sequence[Point]) -> tuple[Point, ...]:
     """Return the same path with round corners, six points each."""
     curve = [points[0]]
     for previous_point, corner, next_point in zip(points, points[1:], points[2:], strict=False):
-        into, out = _toward(corner, previous_point), _toward(corner, next_point)
+        into, out = _step_toward(corner, previous_point), _step_toward(corner, next_point)
         for k in range(7):
             t = k / 6
             a, b, c = (1 - t) ** 2, 2 * t * (1 - t), t * t
@@ -142,58 +142,60 @@ def _rounded(points: Sequence[Point]) -> tuple[Point, ...]:
     return (*curve, points[-1])
 
 
-def _toward(corner: Point, other: Point) -> Point:
+def _step_toward(corner: Point, other: Point) -> Point:
     far = hypot(other[0] - corner[0], other[1] - corner[1])
     share = min(CORNER, far / 2) / far if far else 0.0
     return corner[0] + (other[0] - corner[0]) * share, corner[1] + (other[1] - corner[1]) * share
 
 
-def _box(box: Box, place: Placed) -> Iterator[Shape]:
-    frame = Rectangle(place.left, place.top, place.width, place.height, 7, box.colour, dark(box.colour), 1.2, details=box.details)
+def _box_shapes(box: Box, place: PlacedBox) -> Iterator[Shape]:
+    frame = Rectangle(
+        place.left, place.top, place.width, place.height, 7, box.colour, darken(box.colour), 1.2, details=box.details
+    )
     x, y = place.centre
     if box.kind in ("start", "choice"):
         yield replace(frame, radius=place.height / 2, fill=box.colour if box.kind == "start" else WHITE, thick=1.6)
     elif box.kind != "state":
         yield replace(frame, radius=place.height / 2, fill=WHITE, dashed=True)
-        yield _words(box.name, (x, y), WORD_SIZE, INK)
+        yield _centred_words(box.name, (x, y), WORD_SIZE, INK)
     else:
         ink = ink_on(box.colour)
         yield frame
-        yield _words(box.name, (x, y - 8 if box.label else y), NAME_SIZE, ink)
+        yield _centred_words(box.name, (x, y - 8 if box.label else y), NAME_SIZE, ink)
         if box.label:
-            yield _words(box.label, (x, y + 10), WORD_SIZE, ink)
+            yield _centred_words(box.label, (x, y + 10), WORD_SIZE, ink)
 
 
-def _said(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
+def _word_shapes(arrow: PlacedArrow, colour: RGB) -> Iterator[Shape]:
     if arrow.words is None:
         return
     x, y = arrow.words.centre
     box = arrow.words
     yield Rectangle(box.left, box.top, box.width, box.height, 3, WHITE, None)
     first = y - LINE * (len(arrow.lines) - 1) / 2
-    ink = dark(colour, 0.1)
+    ink = darken(colour, 0.1)
     for number, line in enumerate(arrow.lines):
-        yield _words(line, (x, first + LINE * number), WORD_SIZE, ink)
+        yield _centred_words(line, (x, first + LINE * number), WORD_SIZE, ink)
 
 
-def _words(text: str, centre: Point, size: int, colour: RGB) -> Words:
+def _centred_words(text: str, centre: Point, size: int, colour: RGB) -> Words:
     return Words(text, centre, size, colour, width(text, size))
 
 
 def ink_on(colour: RGB) -> RGB:
     """Black or white, whichever is read more easily on the colour."""
-    return INK if _light(colour) > 0.3 else WHITE
+    return INK if _luminance(colour) > 0.3 else WHITE
 
 
-def _light(colour: RGB) -> float:
+def _luminance(colour: RGB) -> float:
     """Relative luminance, 0..1, as WCAG 2 defines it."""
     red, green, blue = ((c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4) for c in colour)
     return 0.2126 * red + 0.7152 * green + 0.0722 * blue
 
 
-def dark(colour: RGB, most: float = 0.22) -> RGB:
+def darken(colour: RGB, most: float = 0.22) -> RGB:
     """Return the colour, darkened if necessary so that a thin line of it on white is visible: luminance at most `most`. For
     words, a contrast of 7 : 1 is 0.1."""
-    while _light(colour) > most:
+    while _luminance(colour) > most:
         colour = (colour[0] * 0.92, colour[1] * 0.92, colour[2] * 0.92)
     return colour

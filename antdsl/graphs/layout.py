@@ -20,7 +20,7 @@ import numpy as np
 
 from antdsl.diagnostics import Report
 from antdsl.graphs.letters import width
-from antdsl.graphs.model import Arrow, Box, Chart, Placed, PlacedArrow, PlacedChart, Point
+from antdsl.graphs.model import Arrow, Box, Chart, PlacedArrow, PlacedBox, PlacedChart, Point
 
 Size = tuple[float, float]
 Route = tuple[Point, ...]
@@ -69,10 +69,10 @@ def lay_out(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
             'run `pip install "antdsl[graph]"`, or write `--format mermaid` or `--format dot`',
         )
         return (), report
-    return tuple(_placed(chart) for chart in charts), report
+    return tuple(_place_chart(chart) for chart in charts), report
 
 
-def _placed(chart: Chart) -> PlacedChart:
+def _place_chart(chart: Chart) -> PlacedChart:
     """Return the narrowest layout in which no words hide a line; else, of those not too wide, the one with the fewest hidden
     lines."""
     best: tuple[int, int, int] | None = None
@@ -80,7 +80,7 @@ def _placed(chart: Chart) -> PlacedChart:
     for number, spacing in enumerate(_SPACINGS):
         if best is not None and (best[:2] == (0, 0) or (best[0] == 0 and number >= _WIDE)):
             break
-        placed, placement = _tried(chart, spacing)
+        placed, placement = _try_spacing(chart, spacing)
         value = (placement.touching, placement.crossed, number)
         if best is None or value < best:
             best, best_chart = value, placed
@@ -88,29 +88,30 @@ def _placed(chart: Chart) -> PlacedChart:
     return best_chart
 
 
-def _tried(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, WordPlacement]:
+def _try_spacing(chart: Chart, spacing: dict[str, float]) -> tuple[PlacedChart, WordPlacement]:
     import graphlay
 
     graph = graphlay.Graph()
     for box in chart.boxes:
-        wide, high = size(box)
+        wide, high = box_size(box)
         graph.node(box.key, width=wide, height=high, shape="ellipse" if box.kind in ("start", "choice") else "box")
-    folded = [fold(arrow) for arrow in chart.arrows]
+    folded = [fold_words(arrow) for arrow in chart.arrows]
     extents = [_extent(lines) if lines else None for lines in folded]
     for arrow, extent in zip(chart.arrows, extents, strict=True):
         label_options: dict[str, Any] = {"label_size": {"width": extent[0], "height": extent[1]}} if extent else {}
         graph.edge(arrow.source, arrow.target, **label_options)
     laid = graphlay.layout(graph, preset="process_map", options={**_OPTIONS, "spacing": spacing})
     node_boxes = [
-        Placed((node["center"]["x"], node["center"]["y"]), *size(box)) for box, node in zip(chart.boxes, laid.nodes, strict=True)
+        PlacedBox((node["center"]["x"], node["center"]["y"]), *box_size(box))
+        for box, node in zip(chart.boxes, laid.nodes, strict=True)
     ]
     routes = [tuple((point["x"], point["y"]) for point in edge["points"]) for edge in laid.edges]
     placement = place_words(node_boxes, routes, extents)
     arrows = [PlacedArrow(*all_of_it) for all_of_it in zip(chart.arrows, routes, placement.word_boxes, folded, strict=True)]
-    return _from_zero(chart, list(zip(chart.boxes, node_boxes, strict=True)), arrows), placement
+    return _shift_to_zero(chart, list(zip(chart.boxes, node_boxes, strict=True)), arrows), placement
 
 
-def size(box: Box) -> tuple[float, float]:
+def box_size(box: Box) -> tuple[float, float]:
     """Width and height of a box, px."""
     if box.kind in ("start", "choice"):
         return 14.0, 14.0
@@ -120,7 +121,7 @@ def size(box: Box) -> tuple[float, float]:
     return max(width(box.name, NAME_SIZE), label) + 24, 44.0 if box.label else 30.0
 
 
-def fold(arrow: Arrow) -> tuple[str, ...]:
+def fold_words(arrow: Arrow) -> tuple[str, ...]:
     """The words of an arrow in short lines."""
     short_lines: list[str] = []
     for line in arrow.lines:
@@ -133,13 +134,13 @@ def _extent(lines: tuple[str, ...]) -> tuple[float, float]:
     return max(width(line, WORD_SIZE) for line in lines) + 8, LINE * len(lines) + 2
 
 
-def _from_zero(chart: Chart, boxes: list[tuple[Box, Placed]], arrows: list[PlacedArrow]) -> PlacedChart:
+def _shift_to_zero(chart: Chart, boxes: list[tuple[Box, PlacedBox]], arrows: list[PlacedArrow]) -> PlacedChart:
     """Return the chart moved so that all of it, with a margin, begins at (0, 0)."""
     all_boxes = [place for _, place in boxes] + [arrow.words for arrow in arrows if arrow.words is not None]
     xs = [x for a in arrows for x, _ in a.points] + [p.left for p in all_boxes] + [p.left + p.width for p in all_boxes]
     ys = [y for a in arrows for _, y in a.points] + [p.top for p in all_boxes] + [p.top + p.height for p in all_boxes]
     wide, high = max(xs) - min(xs) + 2 * PADDING, max(ys) - min(ys) + 2 * PADDING
-    return PlacedChart(chart, wide, high, tuple(boxes), tuple(arrows)).moved(PADDING - min(xs), PADDING - min(ys))
+    return PlacedChart(chart, wide, high, tuple(boxes), tuple(arrows)).shifted_by(PADDING - min(xs), PADDING - min(ys))
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +148,7 @@ class WordPlacement:
     """A place for each arrow's words, None for no words. `touching`: how many touch boxes or other words. `crossed`: how many
     lines and heads are hidden by words."""
 
-    word_boxes: tuple[Placed | None, ...]
+    word_boxes: tuple[PlacedBox | None, ...]
     touching: int
     crossed: int
 
@@ -162,21 +163,21 @@ class _Spots:
     costs: Array
     hidden: Array
 
-    def place(self, number: int) -> Placed:
+    def place(self, number: int) -> PlacedBox:
         x, y = self.centres[number].tolist()
-        return Placed((x, y), *self.size)
+        return PlacedBox((x, y), *self.size)
 
 
-def place_words(boxes: Sequence[Placed], routes: Sequence[Route], sizes: Sequence[Size | None]) -> WordPlacement:
+def place_words(boxes: Sequence[PlacedBox], routes: Sequence[Route], sizes: Sequence[Size | None]) -> WordPlacement:
     """Return positions for the words on arrows, from the arrows' paths (mostly vertical and horizontal) and the words' sizes."""
-    spots = {number: _spots(number, boxes, routes, size) for number, size in enumerate(sizes) if size}
+    spots = {number: _find_spots(number, boxes, routes, size) for number, size in enumerate(sizes) if size}
     order = sorted(spots, key=lambda n: (int((spots[n].costs < _CROSSING).sum()), n))
     chosen: dict[int, int] = {}
     for _ in range(_ROUNDS):
         previous_choice = dict(chosen)
         for number in order:
             others = [spots[n].place(k) for n, k in chosen.items() if n != number]
-            costs = spots[number].costs + _BLOCKED * _touched(spots[number].centres, spots[number].size, others)
+            costs = spots[number].costs + _BLOCKED * _count_overlaps(spots[number].centres, spots[number].size, others)
             chosen[number] = int(np.argmin(costs))
         if chosen == previous_choice:
             break
@@ -184,24 +185,24 @@ def place_words(boxes: Sequence[Placed], routes: Sequence[Route], sizes: Sequenc
     touching = sum(spots[n].costs[k] >= _BLOCKED for n, k in chosen.items())
     for n, place in word_boxes.items():
         centre = np.array([place.centre])
-        touching += _touched(centre, spots[n].size, [other for m, other in word_boxes.items() if m < n])[0]
+        touching += _count_overlaps(centre, spots[n].size, [other for m, other in word_boxes.items() if m < n])[0]
     crossed = sum(int(spots[n].hidden[k]) for n, k in chosen.items())
     return WordPlacement(tuple(word_boxes.get(n) for n in range(len(sizes))), int(touching), crossed)
 
 
-def _spots(number: int, boxes: Sequence[Placed], routes: Sequence[Route], size: Size) -> _Spots:
+def _find_spots(number: int, boxes: Sequence[PlacedBox], routes: Sequence[Route], size: Size) -> _Spots:
     """Return candidate positions along an arrow's path, on the line and beside it."""
     route = routes[number]
-    centres, costs = _along(route, size)
+    centres, costs = _route_spots(route, size)
     others = [part for n, other in enumerate(routes) if n != number for part in pairwise(other)]
     corners = np.abs(centres[:, None] - np.array(route)) < np.array(size) / 2 + _CLEAR
     turns = corners.all(axis=2)
-    hidden = _lines(centres, size, others) + turns[:, -1]  # the tip of its arrowhead is hidden like a line of others
-    costs = costs + _TURN * turns.sum(axis=1) + _CROSSING * hidden + _BLOCKED * _touched(centres, size, boxes)
+    hidden = _count_crossings(centres, size, others) + turns[:, -1]  # the tip of its arrowhead is hidden like a line of others
+    costs = costs + _TURN * turns.sum(axis=1) + _CROSSING * hidden + _BLOCKED * _count_overlaps(centres, size, boxes)
     return _Spots(size, centres, costs, hidden)
 
 
-def _along(route: Route, size: Size) -> tuple[Array, Array]:
+def _route_spots(route: Route, size: Size) -> tuple[Array, Array]:
     """Return centres [n, 2] and their individual costs [n]."""
     centres: list[Point] = []
     costs: list[float] = []
@@ -222,7 +223,7 @@ def _along(route: Route, size: Size) -> tuple[Array, Array]:
     return np.array(centres), np.array(costs)
 
 
-def _touched(centres: Array, size: Size, others: Sequence[Placed]) -> Array:
+def _count_overlaps(centres: Array, size: Size, others: Sequence[PlacedBox]) -> Array:
     """How many of the others each place touches, int [n]."""
     if not others:
         return np.zeros(len(centres), int)
@@ -231,7 +232,7 @@ def _touched(centres: Array, size: Size, others: Sequence[Placed]) -> Array:
     return np.asarray((np.abs(centres[:, None] - middles) < clearance).all(axis=2).sum(axis=1))
 
 
-def _lines(centres: Array, size: Size, parts: Sequence[tuple[Point, Point]]) -> Array:
+def _count_crossings(centres: Array, size: Size, parts: Sequence[tuple[Point, Point]]) -> Array:
     """Return how many straight parts of other lines cross each position, int [n]."""
     if not parts:
         return np.zeros(len(centres), int)

@@ -20,14 +20,14 @@ def width(text: str, size: int) -> float:
     kind."""
     known = "".join(sign for sign in text if _built_in_has(sign))
     wide = sum(1.0 if east_asian_width(sign) in "WF" else 0.65 for sign in text if not _built_in_has(sign))
-    return round(_built_in(size).getlength(known) + wide * size, 2)
+    return round(_built_in_font(size).getlength(known) + wide * size, 2)
 
 
-def face(text: str, size: int) -> FreeTypeFont:
+def find_font(text: str, size: int) -> FreeTypeFont:
     """Return a font that has every character of the text, if this machine has one; Pillow's own font for plain text."""
     if all(_built_in_has(sign) for sign in text):
-        return _built_in(size)
-    return _installed(size) or _built_in(size)
+        return _built_in_font(size)
+    return _installed_font(size) or _built_in_font(size)
 
 
 def _built_in_has(sign: str) -> bool:
@@ -35,14 +35,14 @@ def _built_in_has(sign: str) -> bool:
 
 
 @lru_cache(maxsize=32)
-def _built_in(size: int) -> FreeTypeFont:
+def _built_in_font(size: int) -> FreeTypeFont:
     from PIL import ImageFont
 
     return ImageFont.load_default(size)  # type: ignore[return-value]
 
 
 @lru_cache(maxsize=32)
-def _installed(size: int) -> FreeTypeFont | None:
+def _installed_font(size: int) -> FreeTypeFont | None:
     from PIL import ImageFont
 
     for name in _OTHERS:

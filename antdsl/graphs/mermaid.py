@@ -6,7 +6,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from antdsl.graphs.drawing import THICK, dark, hexadecimal, ink_on, line_colours
+from antdsl.graphs.drawing import THICK, darken, hex_colour, ink_on, line_colours
 from antdsl.graphs.model import Arrow, Box, Chart
 
 # What may stand in quotes as it is. Everything else is written as its number: quotes and brackets would end the text, and a
@@ -28,7 +28,7 @@ def mermaid(charts: Sequence[Chart]) -> str:
     links = 0
     for number, chart in enumerate(charts):
         keys = {box.key: f"m{number}b{k}" for k, box in enumerate(chart.boxes)}
-        lines += [f'  subgraph m{number}["{_escaped(chart.title)}"]', "    direction TB"]
+        lines += [f'  subgraph m{number}["{_escape(chart.title)}"]', "    direction TB"]
         lines += [f"    {_box(keys[box.key], box)}" for box in chart.boxes]
         lines += [f"    {_link(keys, arrow)}" for arrow in chart.arrows]
         lines.append("  end")
@@ -41,28 +41,28 @@ def mermaid(charts: Sequence[Chart]) -> str:
 def _box(key: str, box: Box) -> str:
     prefix, suffix = _SHAPES[box.kind]
     words = [box.name, box.label] if box.kind in ("state", "any", "previous") else [" "]
-    return key + prefix + "<br/>".join(_escaped(word) for word in words if word) + suffix
+    return key + prefix + "<br/>".join(_escape(word) for word in words if word) + suffix
 
 
 def _link(keys: dict[str, str], arrow: Arrow) -> str:
     line = "==>" if arrow.interrupt else "-->"
-    words = "<br/>".join(_escaped(words) for words in arrow.lines)
+    words = "<br/>".join(_escape(words) for words in arrow.lines)
     return f"{keys[arrow.source]} {line}" + (f'|"{words}"|' if words else "") + f" {keys[arrow.target]}"
 
 
 def _style(box: Box) -> str:
     if box.kind in ("state", "start"):
-        fill, edge, ink = box.colour, dark(box.colour), ink_on(box.colour)
-        return f"fill:{hexadecimal(fill)},stroke:{hexadecimal(edge)},color:{hexadecimal(ink)}"
+        fill, edge, ink = box.colour, darken(box.colour), ink_on(box.colour)
+        return f"fill:{hex_colour(fill)},stroke:{hex_colour(edge)},color:{hex_colour(ink)}"
     dashes = "" if box.kind == "choice" else ",stroke-dasharray:4 3"
-    return f"fill:#ffffff,stroke:{hexadecimal(box.colour)},color:#212129{dashes}"
+    return f"fill:#ffffff,stroke:{hex_colour(box.colour)},color:#212129{dashes}"
 
 
 def _link_styles(chart: Chart, first: int) -> Iterator[str]:
     for k, (arrow, colour) in enumerate(zip(chart.arrows, line_colours(chart), strict=True), first):
         thick = f",stroke-width:{THICK}px" if arrow.interrupt else ""
-        yield f"  linkStyle {k} stroke:{hexadecimal(colour)}{thick}"
+        yield f"  linkStyle {k} stroke:{hex_colour(colour)}{thick}"
 
 
-def _escaped(text: str) -> str:
+def _escape(text: str) -> str:
     return "".join(sign if sign in _PLAIN else f"#{ord(sign)};" for sign in text)

@@ -48,7 +48,7 @@ class Chart:
 
 
 @dataclass(frozen=True, slots=True)
-class Placed:
+class PlacedBox:
     """The position of something: its centre and its size, in px."""
 
     centre: Point
@@ -70,7 +70,7 @@ class PlacedArrow:
 
     arrow: Arrow
     points: tuple[Point, ...]
-    words: Placed | None
+    words: PlacedBox | None
     lines: tuple[str, ...]
 
 
@@ -81,13 +81,13 @@ class PlacedChart:
     chart: Chart
     width: float
     height: float
-    boxes: tuple[tuple[Box, Placed], ...]
+    boxes: tuple[tuple[Box, PlacedBox], ...]
     arrows: tuple[PlacedArrow, ...]
 
-    def moved(self, right: float, down: float) -> PlacedChart:
+    def shifted_by(self, right: float, down: float) -> PlacedChart:
         """The same so far to the right and down."""
 
-        def at(place: Placed) -> Placed:
+        def at(place: PlacedBox) -> PlacedBox:
             return replace(place, centre=(place.centre[0] + right, place.centre[1] + down))
 
         arrows = tuple(

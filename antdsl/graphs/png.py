@@ -6,7 +6,7 @@ import io
 from typing import TYPE_CHECKING
 
 from antdsl.graphs.drawing import Drawing, Line, Rectangle, Words
-from antdsl.graphs.letters import face
+from antdsl.graphs.letters import find_font
 from antdsl.graphs.model import RGB, Point
 
 if TYPE_CHECKING:
@@ -46,8 +46,8 @@ def png(drawing: Drawing) -> bytes:
 def _rectangle(brush: ImageDraw, shape: Rectangle, scale: float) -> None:
     corners = [(shape.left * scale, shape.top * scale), ((shape.left + shape.width) * scale, (shape.top + shape.height) * scale)]
     thick = max(1, round(shape.thick * scale))
-    edge = _ink(shape.edge) if shape.edge is not None else None
-    fill = _ink(shape.fill) if shape.fill is not None else None
+    edge = _pixel_colour(shape.edge) if shape.edge is not None else None
+    fill = _pixel_colour(shape.fill) if shape.fill is not None else None
     brush.rounded_rectangle(corners, shape.radius * scale, fill, None if shape.dashed else edge, thick)
     if shape.dashed and edge is not None:
         _dashes(brush, shape, scale, edge, thick)
@@ -71,29 +71,29 @@ def _dashes(brush: ImageDraw, shape: Rectangle, scale: float, ink: tuple[int, in
 def _line(brush: ImageDraw, line: Line, scale: float) -> None:
     points = [(x * scale, y * scale) for x, y in line.points]
     if line.closed:
-        brush.polygon(points, _ink(line.colour))
+        brush.polygon(points, _pixel_colour(line.colour))
     else:
-        brush.line(points, _ink(line.colour), max(1, round(line.thick * scale)), joint="curve")
+        brush.line(points, _pixel_colour(line.colour), max(1, round(line.thick * scale)), joint="curve")
 
 
 def _words(image: Image, words: Words, scale: float) -> None:
     """Draw words, narrowed if the font is wider than the space left for them."""
     from PIL import Image, ImageDraw
 
-    letters = face(words.text, max(1, round(words.size * scale)))
+    letters = find_font(words.text, max(1, round(words.size * scale)))
     available_width = words.width * scale
     needs = letters.getlength(words.text)
     centre: Point = (words.centre[0] * scale, words.centre[1] * scale)
     if needs <= available_width * 1.02:
-        ImageDraw.Draw(image).text(centre, words.text, _ink(words.colour), letters, anchor="mm")
+        ImageDraw.Draw(image).text(centre, words.text, _pixel_colour(words.colour), letters, anchor="mm")
         return
     mask = Image.new("L", (round(needs) + 2, round(words.size * scale * 1.6)))
     ImageDraw.Draw(mask).text((mask.width / 2, mask.height / 2), words.text, 255, letters, anchor="mm")
     mask = mask.resize((max(1, round(available_width)), mask.height), Image.Resampling.BILINEAR)
     corner = (round(centre[0] - mask.width / 2), round(centre[1] - mask.height / 2))
-    image.paste(_ink(words.colour), (*corner, corner[0] + mask.width, corner[1] + mask.height), mask)
+    image.paste(_pixel_colour(words.colour), (*corner, corner[0] + mask.width, corner[1] + mask.height), mask)
 
 
-def _ink(colour: RGB) -> tuple[int, int, int]:
+def _pixel_colour(colour: RGB) -> tuple[int, int, int]:
     red, green, blue = (round(part * 255) for part in colour)
     return red, green, blue

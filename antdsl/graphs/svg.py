@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.sax.saxutils import escape
 
-from antdsl.graphs.drawing import Drawing, Line, Rectangle, Shape, Words, hexadecimal
+from antdsl.graphs.drawing import Drawing, Line, Rectangle, Shape, Words, hex_colour
 from antdsl.graphs.model import RGB
 
 
@@ -26,7 +26,7 @@ def _shape(shape: Shape) -> str:
         x, y = _number(shape.centre[0]), _number(shape.centre[1] + shape.size * 0.35)
         return (
             f'<text x="{x}" y="{y}" font-size="{shape.size}" text-anchor="middle" fill="{_hex(shape.colour)}"'
-            f' textLength="{_number(shape.width)}" lengthAdjust="spacingAndGlyphs">{escape(_legal(shape.text))}</text>'
+            f' textLength="{_number(shape.width)}" lengthAdjust="spacingAndGlyphs">{escape(_remove_illegal(shape.text))}</text>'
         )
     if isinstance(shape, Rectangle):
         return _close_element(
@@ -49,10 +49,10 @@ def _line(line: Line) -> str:
 
 
 def _close_element(start: str, details: str, name: str) -> str:
-    return f"{start}><title>{escape(_legal(details))}</title></{name}>" if details else f"{start}/>"
+    return f"{start}><title>{escape(_remove_illegal(details))}</title></{name}>" if details else f"{start}/>"
 
 
-def _legal(text: str) -> str:
+def _remove_illegal(text: str) -> str:
     """Return the text without characters that XML 1.0 forbids even when escaped."""
     return "".join(
         sign for sign in text if sign in "\n\t" or " " <= sign <= "\ud7ff" or "\ue000" <= sign <= "\ufffd" or sign > "\uffff"
@@ -64,4 +64,4 @@ def _number(value: float) -> str:
 
 
 def _hex(colour: RGB | None) -> str:
-    return "none" if colour is None else hexadecimal(colour)
+    return "none" if colour is None else hex_colour(colour)

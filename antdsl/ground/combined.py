@@ -9,12 +9,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.topology import facing
+from antdsl.ground.mesh.topology import facing_sides
 from antdsl.ground.protocol import Floats, Footing, Meshes, Move
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid import move as walk_on
-from antdsl.ground.solid_queries import below, dropped, entered, normals
-from antdsl.numerics.vector_rows import columned, length, level, take_rows, within
+from antdsl.ground.solid_queries import cast_down, cast_from_above, entry_fraction, normals
+from antdsl.numerics.vector_rows import contiguous_columns, length, rows_in_box, take_rows, unit_tangent
 from antdsl.numerics.vectors import turned
 
 Rows = NDArray[np.intp]
@@ -41,7 +41,7 @@ class _Walk:
 
 
 @dataclass(slots=True)
-class _Entries:
+class _SolidEntries:
     """Agents that entered undug solid: their numbers, the solid, the part of their path at the entry, and the position."""
 
     who: Rows
@@ -95,7 +95,7 @@ class Terrain:
             rows = np.arange(len(points)) if is_requested else np.flatnonzero(buried)
             if not rows.size:
                 continue
-            top, is_hit = dropped(volume, points[rows], up[rows])
+            top, is_hit = cast_from_above(volume, points[rows], up[rows])
             higher = is_hit & (((top - points[rows]) * up[rows]).sum(axis=1) > height[rows])
             higher |= is_hit & buried[rows]
             chosen = rows[higher]
@@ -132,7 +132,7 @@ class Terrain:
         place = np.stack([footing.x, footing.y, footing.z], axis=1)
         rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
-            place[rows] = self.meshes.position(footing.faces(rows))
+            place[rows] = self.meshes.position(footing.take_on_meshes(rows))
         return place
 
     def normal(self, footing: Footing) -> Floats:
@@ -140,7 +140,7 @@ class Terrain:
         normal = np.zeros((len(footing), 3))
         rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
-            normal[rows] = self.meshes.normal(footing.faces(rows))
+            normal[rows] = self.meshes.normal(footing.take_on_meshes(rows))
         for k, volume in enumerate(self._volumes):
             rows = self._solid_rows(footing, k)
             if rows.size:
@@ -151,19 +151,19 @@ class Terrain:
         """Return the axis direction nearest to each normal, numbered as in `MeshGround.sides`."""
         rows = self._mesh_rows(footing)
         if rows.size == len(footing) and self.meshes is not None:
-            return self.meshes.sides(footing.faces(rows), threads)
-        return np.where(footing.mesh >= 0, facing(self.normal(footing)), np.int8(0))
+            return self.meshes.sides(footing.take_on_meshes(rows), threads)
+        return np.where(footing.mesh >= 0, facing_sides(self.normal(footing)), np.int8(0))
 
-    def upright(self, footing: Footing, up: Floats) -> Floats:
+    def upright_normals(self, footing: Footing, up: Floats) -> Floats:
         """Smooth unit normals float64[n,3]: on meshes on the side that `up` points to, on solids outwards."""
         result = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)))
         rows = self._mesh_rows(footing)
         if rows.size and self.meshes is not None:
-            result[rows] = self.meshes.upright(footing.faces(rows), result[rows])
+            result[rows] = self.meshes.upright_normals(footing.take_on_meshes(rows), result[rows])
         for k, volume in enumerate(self._volumes):
             rows = self._solid_rows(footing, k)
             if rows.size:
-                result[rows] = volume.upright(self.position(footing.take(rows)), result[rows])
+                result[rows] = volume.upright_normals(self.position(footing.take(rows)), result[rows])
         return result
 
     # ---- moving
@@ -181,13 +181,13 @@ class Terrain:
         """As `MeshGround.move`, over meshes and solids."""
         n = len(footing)
         body = np.broadcast_to(np.asarray(body, np.float64), (n,))
-        remaining = columned(displacement)
+        remaining = contiguous_columns(displacement)
         np.nan_to_num(remaining, copy=False, posinf=0.0, neginf=0.0)
-        ahead = columned(heading)
+        ahead = contiguous_columns(heading)
         walk = _Walk(
             footing.copy(),
             np.empty((3, n)).T,
-            columned(up),
+            contiguous_columns(up),
             ahead,
             ahead.copy("K"),
             remaining,
@@ -201,38 +201,38 @@ class Terrain:
         for hop in range(_HOPS):
             if not rows.size:
                 break
-            rows = self._stretch(walk, rows, body, threads, last=hop == _HOPS - 1)
+            rows = self._walk_stretch(walk, rows, body, threads, last=hop == _HOPS - 1)
         lost = footing.mesh < 0
         return Move(walk.footing, walk.place, walk.up, walk.heading, walk.direction, walk.distance, walk.blocked, lost)
 
     # ---- parts of moving
 
-    def _stretch(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
+    def _walk_stretch(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
         """Walk `rows` on their current mesh or solid. Those that meet another one stand on it afterwards, and are returned if
         they have distance left."""
         again = []
         on = walk.footing.mesh[rows]
         mesh = rows[on < self._count]
         if mesh.size:
-            again.append(self._on_meshes(walk, mesh, body, threads, last))
+            again.append(self._walk_on_meshes(walk, mesh, body, threads, last))
         for k, volume in enumerate(self._volumes):
             mine = rows[on == self._count + k]
             if mine.size:
-                again.append(self._on_volume(walk, mine, k, volume, body, threads, last))
+                again.append(self._walk_on_solid(walk, mine, k, volume, body, threads, last))
         return np.sort(np.concatenate(again))
 
-    def _on_meshes(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
+    def _walk_on_meshes(self, walk: _Walk, rows: Rows, body: Floats, threads: int, last: bool) -> Rows:
         meshes = self.meshes
         assert meshes is not None
-        previous_footing = walk.footing.faces(rows)
+        previous_footing = walk.footing.take_on_meshes(rows)
         wish, ahead, up = (take_rows(v, rows) for v in (walk.left, walk.heading, walk.up))
         moved = meshes.move(previous_footing, wish, ahead, up, body[rows], threads, walk.straight)
-        entries = self._entering(moved.position, lambda who: meshes.position(previous_footing.take(who)))
-        self._stay(walk, rows, entries.who, moved)
-        return self._step_up(walk, rows, entries, moved, body, threads, last)
+        entries = self._find_entries(moved.position, lambda who: meshes.position(previous_footing.take(who)))
+        self._finish_walks(walk, rows, entries.who, moved)
+        return self._step_onto_solid(walk, rows, entries, moved, body, threads, last)
 
     @staticmethod
-    def _stay(walk: _Walk, rows: Rows, but: Rows, moved: Move) -> None:
+    def _finish_walks(walk: _Walk, rows: Rows, but: Rows, moved: Move) -> None:
         """Store the result for all of `rows` that have finished their walk; the others are `but`."""
         footing, vectors = moved.footing, [moved.position, moved.up, moved.heading, moved.direction]
         travelled, blocked = moved.travelled, moved.blocked
@@ -251,7 +251,7 @@ class Terrain:
         walk.blocked[rows] |= blocked
         walk.left[rows] = 0.0
 
-    def _entering(self, end: Floats, start: Callable[[Rows], Floats], but: int = -1) -> _Entries:
+    def _find_entries(self, end: Floats, start: Callable[[Rows], Floats], but: int = -1) -> _SolidEntries:
         """Return the agents that enter undug solid, of any volume but number `but`, on the way from `start` (of some of them) to
         `end`."""
         part, which = np.full(len(end), np.inf), np.zeros(len(end), np.intp)
@@ -259,20 +259,22 @@ class Terrain:
         for k, volume in enumerate(self._volumes):
             if k == but:
                 continue
-            near = within(end, volume.low, volume.high)
+            near = rows_in_box(end, volume.low, volume.high)
             inside = near[volume.sample(take_rows(end, near)) < -_SUNK * volume.voxel]
             if not inside.size:
                 continue
             a, b = start(inside), end[inside]
-            free = entered(volume, a, b)
+            free = entry_fraction(volume, a, b)
             sooner = free < part[inside]
             chosen = inside[sooner]
             part[chosen], which[chosen] = free[sooner], k
             positions[chosen] = (a + free[:, None] * (b - a))[sooner]
         who = np.flatnonzero(part <= 1)
-        return _Entries(who, which[who], part[who], positions[who])
+        return _SolidEntries(who, which[who], part[who], positions[who])
 
-    def _step_up(self, walk: _Walk, rows: Rows, entries: _Entries, moved: Move, body: Floats, threads: int, last: bool) -> Rows:
+    def _step_onto_solid(
+        self, walk: _Walk, rows: Rows, entries: _SolidEntries, moved: Move, body: Floats, threads: int, last: bool
+    ) -> Rows:
         """Step those of `rows` that entered a solid onto it; return those with distance left."""
         again = [np.empty(0, np.intp)]
         for k, volume in enumerate(self._volumes):
@@ -302,30 +304,30 @@ class Terrain:
             again.append(on[rest > 0])
         return np.concatenate(again)
 
-    def _on_volume(self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool) -> Rows:
+    def _walk_on_solid(self, walk: _Walk, rows: Rows, k: int, volume: Volume, body: Floats, threads: int, last: bool) -> Rows:
         previous_footing = walk.footing
         start = np.stack([previous_footing.x[rows], previous_footing.y[rows], previous_footing.z[rows]]).T
         wish, ahead, up = (take_rows(v, rows) for v in (walk.left, walk.heading, walk.up))
         moved = walk_on(volume, start, wish, ahead, up, body[rows], self._count + k)
-        is_hit, part, footing = self._across(start, moved.position, up, moved.up, body[rows], threads)
-        entries = self._entering(moved.position, lambda who: start[who], k)
+        is_hit, part, footing = self._find_mesh_crossings(start, moved.position, up, moved.up, body[rows], threads)
+        entries = self._find_entries(moved.position, lambda who: start[who], k)
         earlier = entries.part < part[entries.who]
-        entries = _Entries(entries.who[earlier], entries.which[earlier], entries.part[earlier], entries.place[earlier])
+        entries = _SolidEntries(entries.who[earlier], entries.which[earlier], entries.part[earlier], entries.place[earlier])
         is_hit[entries.who] = False
         lost = moved.lost & ~is_hit
         lost[entries.who] = False
         other = is_hit | lost
         other[entries.who] = True
-        self._stay(walk, rows, np.flatnonzero(other), moved)
+        self._finish_walks(walk, rows, np.flatnonzero(other), moved)
         self._fall(walk, rows[lost])
-        again = self._step_up(walk, rows, entries, moved, body, threads, last)
+        again = self._step_onto_solid(walk, rows, entries, moved, body, threads, last)
         down = rows[is_hit]
         if not down.size or self.meshes is None:
             return again
         onto = footing.take(is_hit)
-        normal = self.meshes.upright(onto, start[is_hit] - moved.position[is_hit])  # the side that they come from
+        normal = self.meshes.upright_normals(onto, start[is_hit] - moved.position[is_hit])  # the side that they come from
         tilted, direction = moved.up[is_hit], moved.direction[is_hit]
-        walk.heading[down] = level(turned(moved.heading[is_hit].T, tilted.T, normal.T, direction.T).T, normal)
+        walk.heading[down] = unit_tangent(turned(moved.heading[is_hit].T, tilted.T, normal.T, direction.T).T, normal)
         walk.direction[down] = turned(direction.T, tilted.T, normal.T, direction.T).T
         walk.footing.put(down, onto)
         walk.place[down], walk.up[down] = self.meshes.position(onto), normal
@@ -344,7 +346,7 @@ class Terrain:
         least = np.full(len(rows), np.inf)
         for k, volume in enumerate(self._volumes):
             reach = length(np.maximum(np.abs(volume.high - start), np.abs(start - volume.low)))
-            place, is_hit = below(volume, start, np.broadcast_to(self._up, start.shape), reach)
+            place, is_hit = cast_down(volume, start, np.broadcast_to(self._up, start.shape), reach)
             drop = length(place - start)
             first = np.flatnonzero(is_hit & (drop < least))
             onto.put(first, Footing.on_solids(self._count + k, place[first]))
@@ -356,11 +358,11 @@ class Terrain:
             onto.put(first, footing.take(first))
         walk.footing.put(rows, onto)
         walk.place[rows] = self.position(onto)
-        normal = self.upright(onto, walk.up[rows])
-        walk.heading[rows] = walk.direction[rows] = level(walk.heading[rows], normal)
+        normal = self.upright_normals(onto, walk.up[rows])
+        walk.heading[rows] = walk.direction[rows] = unit_tangent(walk.heading[rows], normal)
         walk.up[rows], walk.left[rows] = normal, 0.0
 
-    def _across(
+    def _find_mesh_crossings(
         self, start: Floats, end: Floats, up: Floats, up_after: Floats, body: Floats, threads: int
     ) -> tuple[NDArray[np.bool_], Floats, Footing]:
         """Return which agents have a mesh across their way, seen from a little above it. Return also the part of the way before

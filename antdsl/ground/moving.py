@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from antdsl.casting.rays import Hits, Mesh, RayScene
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.surface_clearance import Clearances, Parts
+from antdsl.ground.mesh.surface_clearance import Clearances, FaceParts
 from antdsl.ground.mesh.surroundings import NOISE
-from antdsl.ground.mesh.topology import repose
+from antdsl.ground.mesh.topology import update_shape
 from antdsl.ground.protocol import Floats, Footing, Index
 
 Axes = tuple[Floats, Floats, Floats]
@@ -34,9 +34,9 @@ class MovingGround(MeshGround):
         self._rows = {name: slice(int(self._first[k]), int(self._first[k + 1])) for k, name in enumerate(self.names)}
         self._rest = self._table.copy()
         self._still_ones = int((self._table.live & ~self._moves.take(self._mesh)).sum())
-        self._ends = {name: _ends(self._vertices[rows]) for name, rows in self._corners.items()}
+        self._ends = {name: _box_corners(self._vertices[rows]) for name, rows in self._corners.items()}
         self._still_scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
-        self._clearances = _Clearances(self)  # type: ignore[assignment]
+        self._clearances = _MovingClearances(self)  # type: ignore[assignment]
         # What moves may come over feet by as much as it likes: what shows its back is below an agent, however far above.
         self._scale = replace(self._scale, under=np.inf)
 
@@ -46,45 +46,45 @@ class MovingGround(MeshGround):
         ground._vertices, ground._table = self._vertices.copy(), self._table.copy()
         ground._boxes = replace(self._boxes, bounds=self._boxes.bounds.copy())
         ground._scenes, ground._fast, ground._ends = {}, None, dict(self._ends)
-        ground._clearances = _Clearances(ground)  # type: ignore[assignment]
+        ground._clearances = _MovingClearances(ground)  # type: ignore[assignment]
         return ground
 
-    def pose(self, vertices_by_name: Mapping[str, Floats]) -> None:
+    def pose_meshes(self, vertices_by_name: Mapping[str, Floats]) -> None:
         """Set the vertices (n, 3) of moving meshes to their current positions."""
         for name, vertices in vertices_by_name.items():
             rows = self._rows[name]
             self._vertices[self._corners[name]] = vertices
-            repose(self._table, self._vertices, self._faces, rows)
+            update_shape(self._table, self._vertices, self._faces, rows)
             if self._fast is not None:
                 self._fast.changed(rows)
-            self._ends[name] = _ends(vertices)
+            self._ends[name] = _box_corners(vertices)
         self.low = np.min([low for low, _ in self._ends.values()], axis=0)
         self.high = np.max([high for _, high in self._ends.values()], axis=0)
         self.extent = max(self.extent, float((self.high - self.low).max()))
-        self._boxes.fit(self._vertices, self._faces, self._still_ones)
+        self._boxes.refit(self._vertices, self._faces, self._still_ones)
         self._scenes = {}
-        self._clearances.forget()  # type: ignore[attr-defined]
+        self._clearances.reset()  # type: ignore[attr-defined]
 
-    def carries(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
+    def rows_on_moving(self, mesh: NDArray[np.int32]) -> NDArray[np.intp]:
         """Return the rows of agents that stand on a moving mesh; mesh numbers out of range do not count."""
         known = (mesh >= 0) & (mesh < len(self._moves))
         return np.flatnonzero(known & self._moves.take(np.where(known, mesh, 0)))
 
     def axes(self, footing: Footing) -> Axes:
         """Return the frames (3, n) of the faces that agents stand on: along the first edge, across it, and up by the winding."""
-        face, _ = self._faces_of(footing)
+        face, _ = self._face_numbers(footing)
         t = self._table
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
     def rest_axes(self, footing: Footing) -> Axes:
         """As `axes`, where the faces lay at rest."""
-        face, _ = self._faces_of(footing)
+        face, _ = self._face_numbers(footing)
         t = self._rest
         return t.axis1.take(face, axis=1), t.axis2.take(face, axis=1), t.normal.take(face, axis=1)
 
     def rest_position(self, footing: Footing) -> Floats:
         """Return the rest positions (n, 3) of the points that agents stand on."""
-        face, known = self._faces_of(footing)
+        face, known = self._face_numbers(footing)
         t = self._rest
         place = t.corner.take(face, axis=1) + footing.b1 * t.edge1.take(face, axis=1) + footing.b2 * t.edge2.take(face, axis=1)
         return np.ascontiguousarray(np.where(known, place, 0.0).T)
@@ -93,39 +93,41 @@ class MovingGround(MeshGround):
         """Return the moving meshes at their current position: mask of their faces, lowest and highest corner."""
         return [(self._mesh == k, *self._ends[name]) for k, name in enumerate(self.names) if self._moves[k]]
 
-    def _together(self) -> NDArray[np.int32]:
+    def _surface_groups(self) -> NDArray[np.int32]:
         return np.where(self._moves.take(self._mesh), self._mesh + 1, 0).astype(np.int32)
 
-    def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
+    def _ray_scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
         """Return rays against some surfaces, in separate scenes for static and moving ones, and the faces in these scenes."""
-        chosen = tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._known(on)))
+        chosen = (
+            tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._require_names(on)))
+        )
         if chosen not in self._scenes:
             still = tuple(k for k in chosen if not self._moves[k])
             if still not in self._still_scenes:
-                self._still_scenes[still] = self._rays(still)
-            moved, live = self._rays(tuple(k for k in chosen if self._moves[k]), lasting=False)
+                self._still_scenes[still] = self._ray_scene_of(still)
+            moved, live = self._ray_scene_of(tuple(k for k in chosen if self._moves[k]), lasting=False)
             first, first_live = self._still_scenes[still]
-            self._scenes[chosen] = _Both(first, moved, len(first_live)), np.concatenate([first_live, live])  # type: ignore[assignment]
+            self._scenes[chosen] = _RayScenePair(first, moved, len(first_live)), np.concatenate([first_live, live])  # type: ignore[assignment]
         return self._scenes[chosen]
 
-    def _rays(self, chosen: tuple[int, ...], lasting: bool = True) -> tuple[RayScene, Index]:
+    def _ray_scene_of(self, chosen: tuple[int, ...], lasting: bool = True) -> tuple[RayScene, Index]:
         live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
         return RayScene(self._vertices, self._faces[live], lasting=lasting), live
 
 
-def _ends(vertices: Floats) -> tuple[Floats, Floats]:
+def _box_corners(vertices: Floats) -> tuple[Floats, Floats]:
     """Lowest and highest corner (3,) of a box around vertices."""
     empty = not len(vertices)
     return (np.full(3, np.inf), np.full(3, -np.inf)) if empty else (vertices.min(axis=0), vertices.max(axis=0))
 
 
-def _boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
+def _face_boxes(vertices: Floats, faces: NDArray[np.int32]) -> tuple[Floats, Floats]:
     """The same of each face, (n, 3)."""
     a, b, c = (vertices.take(faces[:, k], axis=0) for k in range(3))
     return np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
 
 
-class _Both:
+class _RayScenePair:
     """Combines two ray scenes of one mesh each; the faces of the second are numbered after those of the first."""
 
     def __init__(self, one: RayScene, two: RayScene, faces: int) -> None:
@@ -152,7 +154,7 @@ class _Both:
         hit_rows = np.flatnonzero(mesh >= 0)
         return hit_rows, part[hit_rows], mesh[hit_rows], face[hit_rows]
 
-    def faced(
+    def trace_normals(
         self, origin: Floats, displacement: Floats, normals: Floats, named: Index, threads: int = 1
     ) -> tuple[Index, Floats, Floats]:
         which, part, _, face = self.cast_within(origin, displacement, threads)
@@ -165,7 +167,7 @@ class _Both:
         return np.where(second, b[0], a[0]), face, np.where(second[:, None], b[2], a[2]), np.where(second, b[3], a[3])
 
 
-class _Clearances:
+class _MovingClearances:
     """As `Clearances`. Distances between static meshes are measured once. Agents near the box of a moving mesh, and agents on a
     moving mesh near anything, always search."""
 
@@ -179,35 +181,35 @@ class _Clearances:
         piece, cut = ground._table.piece, ground._table.cuts.cut
         self._still = Clearances(corners, piece[self._fixed], cut[self._fixed], low, self.noise)
         several = {name: cut[rows].any() or (np.unique(piece[rows]) >= 0).sum() > 1 for name, rows in ground._rows.items()}
-        self._low, self._high = _boxes(ground._vertices, ground._faces)
+        self._low, self._high = _face_boxes(ground._vertices, ground._faces)
         self._several = [name for k, name in enumerate(ground.names) if ground._moves[k] and several[name]]
-        self._parts: Parts | None = None
+        self._parts: FaceParts | None = None
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         self._parts = None
 
-    def within(self, reach: float) -> Parts:
+    def parts_within(self, reach: float) -> FaceParts:
         """Return clearances that resolve distances up to `reach` mm, at the current positions of the meshes."""
         if self._parts is None or self._parts.reach < reach:
-            self._parts = self._measured(1.5 * reach)
+            self._parts = self._build_parts(1.5 * reach)
         return self._parts
 
-    def _measured(self, reach: float) -> Parts:
+    def _build_parts(self, reach: float) -> FaceParts:
         ground = self._ground
-        still = self._still.within(reach)
+        still = self._still.parts_within(reach)
         count, first = np.zeros(len(ground._faces), np.int32), np.zeros(len(ground._faces), np.int64)
         count[self._fixed], first[self._fixed] = still.count, still.first
-        at = self._touched(reach)
+        at = self._faces_near_moving(reach)
         count[at], first[at] = 1, len(still.least)
-        return Parts(reach, first, count, np.append(still.least, 0.0))
+        return FaceParts(reach, first, count, np.append(still.least, 0.0))
 
-    def _touched(self, reach: float) -> Index:
+    def _faces_near_moving(self, reach: float) -> Index:
         """Return the faces that may have a mesh within `reach`, where one of the two moves."""
         ground = self._ground
         wide = reach + 2 * self.noise
         for k, rows in enumerate(ground._rows.values()):
             if ground._moves[k]:
-                self._low[rows], self._high[rows] = _boxes(ground._vertices, ground._faces[rows])
+                self._low[rows], self._high[rows] = _face_boxes(ground._vertices, ground._faces[rows])
         is_near = np.zeros(len(self._low), np.bool_)
         for k, (name, rows) in enumerate(ground._rows.items()):
             low, high = ground._ends[name]

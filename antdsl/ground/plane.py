@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.topology import facing
+from antdsl.ground.mesh.topology import facing_sides
 from antdsl.ground.protocol import Floats, Footing, Move
 from antdsl.machine_code.kernels import F64, Array1, Array2, Strided2, inlined, kernel
 from antdsl.numerics.kernel_vectors import Pose, Vec3, dot, minus, plus, times
@@ -31,7 +31,7 @@ class Plane:
         """The part of the ground that is made of meshes: none."""
         return None
 
-    def _flat(self, vectors: Floats) -> Floats:
+    def _flatten(self, vectors: Floats) -> Floats:
         along = self._height(vectors)
         flat: Floats = vectors - along[:, None] * self._up
         return flat
@@ -46,12 +46,12 @@ class Plane:
 
     def place(self, points: Floats, up: Floats, on: Iterable[str] | None = None) -> tuple[Footing, NDArray[np.bool_]]:
         """Project points [n,3] onto the plane along the plane's own up; every point succeeds."""
-        return Footing.on_plane(self._flat(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(len(points), np.bool_)
+        return Footing.on_plane(self._flatten(np.asarray(points, np.float64).reshape(-1, 3))), np.ones(len(points), np.bool_)
 
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
         """As `place`, and the distance float64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        return Footing.on_plane(self._flat(points)), np.abs(self._height(points))
+        return Footing.on_plane(self._flatten(points)), np.abs(self._height(points))
 
     def position(self, footing: Footing) -> Floats:
         """Places in the world, float64[n,3]."""
@@ -63,9 +63,9 @@ class Plane:
 
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Return the axis direction nearest to up, int8[n], as `Ground.sides`."""
-        return facing(self.normal(footing))
+        return facing_sides(self.normal(footing))
 
-    def upright(self, footing: Footing, up: Floats) -> Floats:
+    def upright_normals(self, footing: Footing, up: Floats) -> Floats:
         """Up, whichever way agents stand."""
         return self.normal(footing)
 
@@ -82,13 +82,13 @@ class Plane:
         """Walk straight on."""
         n, none = len(displacement), np.zeros(len(displacement), np.bool_)
         point, ahead, direction, travelled = np.empty((n, 3)), np.empty((n, 3)), np.empty((n, 3)), np.empty(n)
-        straight_on(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)
+        walk_all_straight(self._up, footing.point, displacement, heading, point, ahead, direction, travelled)
         above = np.broadcast_to(self._up, up.shape)
         return Move(Footing.on_plane(point), point, above, ahead, direction, travelled, none, none)
 
 
 @inlined
-def straight(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tuple[Pose, F64]:
+def walk_straight(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tuple[Pose, F64]:
     """Move one agent straight on; return its pose and the distance travelled."""
     step, look = minus(displacement, times(up, dot(displacement, up))), minus(ahead, times(up, dot(ahead, up)))
     far = np.sqrt(dot(step, step))
@@ -99,7 +99,7 @@ def straight(up: Vec3, point: Vec3, displacement: Vec3, ahead: Vec3) -> tuple[Po
 
 
 @kernel
-def straight_on(
+def walk_all_straight(
     up: Array1[F64],
     point: Strided2[F64],
     displacements: Strided2[F64],
@@ -113,7 +113,7 @@ def straight_on(
     normal = (up[0], up[1], up[2])
     for i in range(travelled.size):
         step, look = (displacements[i, 0], displacements[i, 1], displacements[i, 2]), (ahead[i, 0], ahead[i, 1], ahead[i, 2])
-        pose, far = straight(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
+        pose, far = walk_straight(normal, (point[i, 0], point[i, 1], point[i, 2]), step, look)
         for k in range(3):
             to[i, k], heading[i, k], direction[i, k] = pose.place[k], pose.heading[k], pose.direction[k]
         travelled[i] = far

@@ -61,7 +61,7 @@ class Footing:
         """Return footings at positions [n,3] on the surfaces of solids with number `mesh`, one or [n]."""
         n = len(place)
         on = Footing.on_faces(np.full(n, mesh, np.int32), np.zeros(n, np.int32), *np.zeros((2, n)))
-        return on._with(np.ascontiguousarray(place.T))
+        return on._with_columns(np.ascontiguousarray(place.T))
 
     @staticmethod
     def on_plane(point: Floats) -> Footing:
@@ -75,9 +75,9 @@ class Footing:
 
     def with_places(self) -> Footing:
         """Return a copy of footings on meshes for a ground that also has solids."""
-        return self.copy()._with(np.zeros((3, len(self))))
+        return self.copy()._with_columns(np.zeros((3, len(self))))
 
-    def _with(self, place: Floats) -> Footing:
+    def _with_columns(self, place: Floats) -> Footing:
         return Footing(self.columns | dict(zip(_PLACE, place, strict=True)))
 
     # ---- read
@@ -138,7 +138,7 @@ class Footing:
             return Footing({name: column[rows] for name, column in self.columns.items()})
         return Footing({name: rows_of(column, rows) for name, column in self.columns.items()})
 
-    def faces(self, rows: Rows) -> Footing:
+    def take_on_meshes(self, rows: Rows) -> Footing:
         """As `take`, for rows that stand on meshes, for a ground of meshes alone."""
         return Footing({name: rows_of(self.columns[name], rows) for name in _FACES})
 
@@ -153,14 +153,14 @@ class Footing:
         return Footing({name: column.copy() for name, column in self.columns.items()})
 
     @staticmethod
-    def joined(first: Footing, *others: Footing) -> Footing:
+    def concatenate(first: Footing, *others: Footing) -> Footing:
         """Footings on one ground, one after another."""
         return Footing(
             {name: np.concatenate([column, *(o.columns[name] for o in others)]) for name, column in first.columns.items()}
         )
 
     @staticmethod
-    def chosen(which: Flags, one: Footing, other: Footing) -> Footing:
+    def select(which: Flags, one: Footing, other: Footing) -> Footing:
         """Return, on meshes, the footings of `one` where `which` is true, else those of `other`."""
         return Footing({name: np.where(which, column, other.columns[name]) for name, column in one.columns.items()})
 
@@ -233,7 +233,7 @@ class Ground(Protocol):
     def sides(self, footing: Footing, threads: int = 1) -> NDArray[np.int8]:
         """Return the axis direction nearest to each normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
 
-    def upright(self, footing: Footing, up: Floats) -> Floats:
+    def upright_normals(self, footing: Footing, up: Floats) -> Floats:
         """Smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings nowhere."""
 
     def move(
@@ -276,18 +276,18 @@ class Meshes(Ground, Protocol):
         """Return the face number of each footing, counted over all surfaces (0 for none), and whether the footing is on a
         face."""
 
-    def laid_out(self, face: Index, c: Floats, s: Floats) -> Floats:
+    def to_world_vectors(self, face: Index, c: Floats, s: Floats) -> Floats:
         """Return world vectors (3, n) from their components along the two axes of their faces."""
 
     def trace_hits(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Flags, Floats, Footing]:
         """Return which straight ways from `origin` [n,3] by `displacement` [n,3] hit a surface, the part of the way before it,
         and the footing there."""
 
-    def faced(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
+    def trace_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
         """Return the numbers, ascending, of straight ways from `origin` [n,3] by `displacement` [n,3] that hit a surface. Return
         also the part of the way before it, and the face's unit normal (3, k), by its winding."""
 
-    def rising(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
+    def rows_near_rises(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
         """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm, if that is
         over 0. It rises at an inner crease, another piece, or a mesh that moves. No such agent is missing, and the result for an
         agent does not depend on the others."""

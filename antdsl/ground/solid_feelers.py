@@ -49,7 +49,7 @@ class SolidFeelers:
             outside[within] = np.maximum(near, np.float32(0))
         return outside
 
-    def feelers(
+    def cast_feelers(
         self,
         x: NDArray[Any],
         y: NDArray[Any],
@@ -69,7 +69,7 @@ class SolidFeelers:
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
         voxel, through = self.volume.voxel, -_THROUGH * self.volume.voxel
-        first, last = self._through_box(origin, direction)
+        first, last = self._box_interval(origin, direction)
         far = np.minimum(far, last)  # or a reach without measure would march on for ever
         progress = np.where(first > _MARCHES * self.volume.band[1], first, 0.0)
         free, shut = np.zeros(n), np.full(n, np.inf)
@@ -88,7 +88,7 @@ class SolidFeelers:
                 break
         hit = np.flatnonzero(np.isfinite(shut))
         t, normal = np.full(n, np.inf), np.zeros((3, n), np.float32)
-        t[hit] = self._entry(origin[hit], direction[hit], free[hit], shut[hit])
+        t[hit] = self._find_entry(origin[hit], direction[hit], free[hit], shut[hit])
         normal[:, hit] = self._normals(origin[hit] + t[hit, None] * direction[hit])
         return FeelerHits(np.isfinite(t), t.astype(np.float32), *normal)
 
@@ -96,7 +96,7 @@ class SolidFeelers:
         """Return all agents for all queries: each uses `feelers`."""
         return list_askers(asks)
 
-    def near(
+    def nearest_within(
         self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], reach: NDArray[Any] | float, threads: int = 1
     ) -> FeelerHits:
         """Return the nearest surface within `reach` (mm, one or float[n]) of points, 1-D arrays: the distance (0 inside) and the
@@ -114,7 +114,7 @@ class SolidFeelers:
         t[~hit], normal[~hit] = np.inf, 0
         return FeelerHits(hit, t, *np.ascontiguousarray(normal.T))
 
-    def _through_box(self, origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
+    def _box_interval(self, origin: Floats, direction: Floats) -> tuple[Floats, Floats]:
         """Return the lengths at which each ray enters and leaves the box that contains the solid. A ray that misses the box has
         the exit before the entry."""
         with np.errstate(all="ignore"):
@@ -124,7 +124,7 @@ class SolidFeelers:
             ]
         return np.fmax.reduce(np.fmin(*ends), axis=1), np.fmin.reduce(np.fmax(*ends), axis=1)
 
-    def _entry(self, origin: Floats, direction: Floats, free: Floats, inside: Floats) -> Floats:
+    def _find_entry(self, origin: Floats, direction: Floats, free: Floats, inside: Floats) -> Floats:
         """Return the length, between two lengths, at which each ray enters the solid, exact to 1/256 of the step."""
         for _ in range(_HALVINGS):
             middle = (free + inside) / 2
@@ -145,7 +145,7 @@ class SolidFeelers:
 
         removed = self.volume.removed
         if self._far is None or self._far[0] != removed:
-            surface_points = self._on_surface()
+            surface_points = self._sample_surface()
             self._far = (removed, cKDTree(surface_points) if len(surface_points) else None, surface_points)
         _, tree, surface = self._far
         if tree is None:
@@ -154,7 +154,7 @@ class SolidFeelers:
         distance = np.sqrt((away * away).sum(axis=1))
         return distance.astype(np.float32), (away / np.maximum(distance, 1e-12)[:, None]).astype(np.float32)
 
-    def _on_surface(self) -> Floats:
+    def _sample_surface(self) -> Floats:
         """Return points float64[n,3] on the surface, one for each small block of nodes that the surface crosses."""
         bricks, parts = self.volume.bricks, SIDE // _BLOCK
         stored = np.flatnonzero(bricks.table >= 2)

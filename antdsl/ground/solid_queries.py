@@ -16,7 +16,7 @@ _PARTS = 8  # of a step at which it is looked whether it leads into a solid
 _LOOKS = 5  # after each the part where it does is cut into as many again
 
 
-def entered(volume: Volume, start: Floats, end: Floats) -> Floats:
+def entry_fraction(volume: Volume, start: Floats, end: Floats) -> Floats:
     """Return the share of each path from `start` to `end` after which it first enters the solid: the last sample in air. `end`
     lies in the solid. The result is 0 where `start` is not in air."""
     free, long = np.zeros(len(start)), 1.0
@@ -37,17 +37,17 @@ def normals(volume: Volume, place: Floats) -> Floats:
     return normal
 
 
-def dropped(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def cast_from_above(volume: Volume, points: Floats, up: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the first point of a solid that a ray from far above along -`up` hits, and whether there is one."""
     height = float(length((volume.high - volume.low)[None, :])[0])
     middle = (volume.low + volume.high) / 2
     start = points + up * (((middle - points) * up).sum(axis=1) + height)[:, None]
-    return below(volume, start, up, 2 * height)
+    return cast_down(volume, start, up, 2 * height)
 
 
-def below(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
+def cast_down(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the first point of a solid that a ray along -`up` hits within `reach`, and whether there is one."""
-    hits = SolidFeelers(volume).feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], reach)  # type: ignore[call-arg]
+    hits = SolidFeelers(volume).cast_feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], reach)  # type: ignore[call-arg]
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project(place, up, 2 * volume.voxel)
     return landed.points, hits.hit & landed.is_in_reach

@@ -37,9 +37,9 @@ def move_by_rays(ground: Meshes, footing: Footing, wish: Floats, heading: Floats
     is_hit = known & going & (found1 | found2)
     towards = np.where(second, slant, down)
     hit = np.where(second, eye, eye + wish) + towards * np.where(second, part2, part1)
-    onto = Footing.chosen(is_hit, Footing.chosen(second, footing2, footing1), footing)
-    normal = ground.upright(onto, np.where(is_hit, -towards, up).T).T
-    turned, new_direction = (np.where(is_hit, _laid(vector, up, normal), vector) for vector in (heading, ahead))
+    onto = Footing.select(is_hit, Footing.select(second, footing2, footing1), footing)
+    normal = ground.upright_normals(onto, np.where(is_hit, -towards, up).T).T
+    turned, new_direction = (np.where(is_hit, _heading_along_face(vector, up, normal), vector) for vector in (heading, ahead))
     hit = np.where(is_hit, hit, place)
     distance = np.sqrt(dot(hit - place, hit - place))
     position, above, ahead, direction = (
@@ -48,7 +48,7 @@ def move_by_rays(ground: Meshes, footing: Footing, wish: Floats, heading: Floats
     return Move(onto, position, above, ahead, direction, distance, going & ~is_hit, ~known)
 
 
-def _laid(vector: Floats, up: Floats, normal: Floats) -> Floats:
+def _heading_along_face(vector: Floats, up: Floats, normal: Floats) -> Floats:
     """Return normal x side, where side = vector x up, as a unit vector perpendicular to the normal.
 
     That is zero for a wall beside or in front of the agent. Then return the projection of the vector, or of up, onto the wall."""

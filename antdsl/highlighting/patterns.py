@@ -61,7 +61,7 @@ _INSIDE = r"(?:^[ \t]+|(?<=[{;])[ \t]*)"  # in a world stands the species that a
 _BEGIN = r"(?:^|(?<=[{;]))[ \t]*"
 
 
-def _any(words: Iterable[str]) -> str:
+def _any_word_of(words: Iterable[str]) -> str:
     return f"({'|'.join(sorted(set(words)))}){_END}"
 
 
@@ -75,24 +75,24 @@ PATTERNS: tuple[Pattern, ...] = (
     Pattern(r'"[^"\n]*"?', ("string",)),
     Pattern(rf"({NUMBER})([ \t]*{UNITS})?", ("number", "unit")),
     # the first word of a line
-    Pattern(rf"{_any(CLAIMS)}{_LABELLED}", ("keyword",)),
+    Pattern(rf"{_any_word_of(CLAIMS)}{_LABELLED}", ("keyword",)),
     Pattern(rf"{_INSIDE}(species)(?=[ \t]+{_NAME})", ("kind",)),
-    Pattern(rf"{_BEGIN}{_any(DECLARING)}[ \t]+(?!when{_END})({_NAME})", ("declaration", "declared")),
-    Pattern(rf"{_BEGIN}{_any(WORLD_KINDS)}(?=[ \t]+{_NAME})", ("kind",)),
-    Pattern(rf"{_BEGIN}{_any(_PLAIN_FIRST)}{_NOT_A_VALUE}", ("keyword",)),
-    Pattern(rf"{_BEGIN}{_any(FIELD_SETTINGS)}(?=[ \t]+[a-z0-9(])", ("given",)),
+    Pattern(rf"{_BEGIN}{_any_word_of(DECLARING)}[ \t]+(?!when{_END})({_NAME})", ("declaration", "declared")),
+    Pattern(rf"{_BEGIN}{_any_word_of(WORLD_KINDS)}(?=[ \t]+{_NAME})", ("kind",)),
+    Pattern(rf"{_BEGIN}{_any_word_of(_PLAIN_FIRST)}{_NOT_A_VALUE}", ("keyword",)),
+    Pattern(rf"{_BEGIN}{_any_word_of(FIELD_SETTINGS)}(?=[ \t]+[a-z0-9(])", ("given",)),
     # what an arrow leads to
     Pattern(r"(->)[ \t]*(previous|choose)" + _END, ("operator", "keyword")),
     Pattern(rf"(->)[ \t]*({_NAME})", ("operator", "target")),
     # other words
     Pattern(rf"{_NAME}{_LABELLED}", ("label",)),
-    Pattern(rf"{_any(_FUNCTIONS)}{_CALLED}", ("builtin",)),
+    Pattern(rf"{_any_word_of(_FUNCTIONS)}{_CALLED}", ("builtin",)),
     Pattern(rf"{_NAME}{_CALLED}", ("function",)),
-    Pattern(rf"(?<!\.){_any(OPERATORS)}", ("word operator",)),
-    Pattern(rf"(?<!\.){_any(INNER)}(?![ \t]*[,)=.\[])", ("keyword",)),
-    Pattern(rf"(?<!\.){_any(COLOURS)}(?=[ \t]*(?:\{{|for{_END}))", ("constant",)),
-    Pattern(rf"(?<=[:>] ){_any(TYPE_WORDS)}", ("kind",)),
-    Pattern(_any(_PROPERTIES), ("given",)),
+    Pattern(rf"(?<!\.){_any_word_of(OPERATORS)}", ("word operator",)),
+    Pattern(rf"(?<!\.){_any_word_of(INNER)}(?![ \t]*[,)=.\[])", ("keyword",)),
+    Pattern(rf"(?<!\.){_any_word_of(COLOURS)}(?=[ \t]*(?:\{{|for{_END}))", ("constant",)),
+    Pattern(rf"(?<=[:>] ){_any_word_of(TYPE_WORDS)}", ("kind",)),
+    Pattern(_any_word_of(_PROPERTIES), ("given",)),
     Pattern(_NAME, ("name",)),
     Pattern(r"->|\.\.|[-+<>=!]=|[-+*/^<>=.,:;]", ("operator",)),
     Pattern(r"[(){}\[\]]", ("bracket",)),

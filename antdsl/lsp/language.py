@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterator
 from typing import Any
 
-from antdsl.loading import library
+from antdsl.loading import find_library
 from antdsl.lsp.samples import (
     CALL_FORMS,
     INNER_FORMS,
@@ -36,7 +36,7 @@ from antdsl.program.names.bindings import Key
 from antdsl.program.names.collect import EVENTS
 from antdsl.program.tables.colours import COLOURS
 from antdsl.program.tables.rows import Builtin
-from antdsl.program.tables.units import dimension_words, measure, unit_of
+from antdsl.program.tables.units import default_unit, dimension_words, measure
 from antdsl.program.tables.vocabulary import (
     BUILTIN_ATTRIBUTES,
     BUILTINS,
@@ -144,7 +144,7 @@ def _unit(key: Key) -> str | None:
     known = measure(key[1])
     if known is None:
         return None
-    base = unit_of(known.dim)
+    base = default_unit(known.dim)
     base_unit = measure(base)
     factor = known.factor / base_unit.factor if base_unit is not None else known.factor  # angles are in radians behind `deg`
     worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not known.u and not known.step else ""
@@ -153,21 +153,21 @@ def _unit(key: Key) -> str | None:
     return markdown(f"3 {key[1]}", dimension_words(known.dim), UNIT_HELP.get(key[1], ""), worth, rate, of_steps)
 
 
-def _typed_word(table: Any, what: str, form: str) -> Rule:
+def _make_typed_word_rule(table: Any, what: str, form: str) -> Rule:
     def rule(key: Key) -> str | None:
         return markdown(f"{key[1]}: {table[key[1]]}\n{form.format(key[1])}", what) if key[1] in table else None
 
     return rule
 
 
-def _said(table: dict[str, str], what: str, forms: dict[str, str], notation: str = "ant") -> Rule:
+def _make_word_rule(table: dict[str, str], what: str, forms: dict[str, str], notation: str = "ant") -> Rule:
     def rule(key: Key) -> str | None:
         return markdown(forms[key[1]], table[key[1]], what, notation=notation) if key[1] in table else None
 
     return rule
 
 
-def keyword(word: str, begins: bool) -> str | None:
+def describe_keyword(word: str, begins: bool) -> str | None:
     """Return the description of a keyword, or None. A word that begins a line differs from the same word inside one: `on spawn {
     … }`, `field trail on ground`."""
     if not begins:
@@ -182,7 +182,7 @@ def _type_word(key: Key) -> str | None:
     known = TYPE_WORDS.get(key[1])
     if known is None:
         return None
-    unit = unit_of(known) if isinstance(known, Dim) else ""
+    unit = default_unit(known) if isinstance(known, Dim) else ""
     return markdown(
         f"behaviour mine(x: {key[1]}) -> push {{ … }}", f"numbers in `{unit}`" if unit else TYPE_HELP[key[1]], "a type"
     )
@@ -200,19 +200,19 @@ def _colour(key: Key) -> str | None:
 LANGUAGE: dict[str, Rule] = {
     "given": _describe_built_in, "builtin": _builtin, "builtin-argument": _builtin_argument, "word": _word, "unit": _unit,
     "steered": _steered, "event": _event, "element": _element,
-    "setting": _said(SETTINGS, "setting of a field", SETTING_FORMS),
-    "kind": _said(KINDS, "kind of thing of the world", KIND_FORMS), "type": _type_word,
-    "item-given": _typed_word(ITEM_ATTRIBUTES, "every item has it", "nearest(food).{}"),
-    "hit-given": _typed_word(HIT_ATTRIBUTES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"),
-    "motion": _typed_word(MOTION, "how the crowd moves", "motion.{}"),
-    "geometry": _typed_word(GEOMETRY, "how an animal's body stands: for specs", "any({} > 0)"),
-    "scene": _said(SCENE_HELP, "key of a scene", SCENE_FORMS, "yaml"), "colour": _colour,
+    "setting": _make_word_rule(SETTINGS, "setting of a field", SETTING_FORMS),
+    "kind": _make_word_rule(KINDS, "kind of thing of the world", KIND_FORMS), "type": _type_word,
+    "item-given": _make_typed_word_rule(ITEM_ATTRIBUTES, "every item has it", "nearest(food).{}"),
+    "hit-given": _make_typed_word_rule(HIT_ATTRIBUTES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"),
+    "motion": _make_typed_word_rule(MOTION, "how the crowd moves", "motion.{}"),
+    "geometry": _make_typed_word_rule(GEOMETRY, "how an animal's body stands: for specs", "any({} > 0)"),
+    "scene": _make_word_rule(SCENE_HELP, "key of a scene", SCENE_FORMS, "yaml"), "colour": _colour,
     "body": lambda key: markdown(key[1], "a clip, layer, channel or group of joints of the body that a scene gives the animal"),
 }  # fmt: skip
 # What a bare word may mean: in words, the table it stands in, and the rule that tells it.
 _MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (
-    ("begins a line", FORM_HELP, lambda key: keyword(key[1], True)),
-    ("inside a line", INNER_HELP, lambda key: keyword(key[1], False)),
+    ("begins a line", FORM_HELP, lambda key: describe_keyword(key[1], True)),
+    ("inside a line", INNER_HELP, lambda key: describe_keyword(key[1], False)),
     ("a call", BUILTINS, _called),
     ("of a set", REDUCERS, _reducer),
     ("of all agents, in a spec", WHOLE_HELP, _describe_form),
@@ -286,6 +286,6 @@ def _arguments(word: str) -> Iterator[str]:
 
 def _library() -> Iterator[tuple[str, nodes.Behaviour]]:
     for name in library_names():
-        file = library(name)
+        file = find_library(name)
         if file is not None:
             yield from ((name, item) for item in file.items if isinstance(item, nodes.Behaviour))

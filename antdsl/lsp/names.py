@@ -13,7 +13,7 @@ from antdsl.program.names.bindings import Bindings, Key
 from antdsl.program.names.declared import Declaration, declarations
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RUN_NAMES, SENSED_NAMES
-from antdsl.program.traverse import written
+from antdsl.program.traverse import written_nodes
 from antdsl.program.types.aggregates import WHOLES
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.resources import library_file
@@ -101,15 +101,15 @@ def occurrences(names: Names, bindings: Bindings) -> list[Occurrence]:
     If the checker did not resolve or did not reach a name, its kind begins with `?`."""
     bound: dict[Span, dict[Key, None]] = {}
     for span, declared in bindings.uses:
-        key = names.declaration_keys.get(declared) or _element(names, declared) if isinstance(declared, Span) else declared
+        key = names.declaration_keys.get(declared) or _element_key(names, declared) if isinstance(declared, Span) else declared
         bound.setdefault(span, {})[key] = None
     index = _Index(names, bound)
     for item in names.file.items:
-        index.look(item)
+        index.visit(item)
     return index.found
 
 
-def _element(names: Names, declared: Span) -> Key:
+def _element_key(names: Names, declared: Span) -> Key:
     """Return the key of a symbol that is visible in one expression or handler only. Its name is unique only together with its
     position."""
     return ("element", str(names.file.file_span(declared).start), declared.text)
@@ -125,13 +125,13 @@ class _Index:
     meant: dict[Span, tuple[Key, bool] | None] = field(default_factory=dict)
     found: list[Occurrence] = field(default_factory=list)
 
-    def look(self, item: nodes.TopItem) -> None:
-        for part, _ in written(item):
+    def visit(self, item: nodes.TopItem) -> None:
+        for part, _ in written_nodes(item):
             if isinstance(part, nodes.Name):
                 self.name(part, item)
             elif type(part) in _BY_PLACE:
                 for field_name, kind in _BY_PLACE[type(part)]:
-                    self.by_place(getattr(part, field_name), kind)
+                    self.mark_by_position(getattr(part, field_name), kind)
             if type(part) in _RULES:
                 _RULES[type(part)](self, part)
 
@@ -143,9 +143,9 @@ class _Index:
         elif name.span in self.bound:
             self.found += [Occurrence(span, key) for key in self.bound[name.span]]
         elif (meant := self.meant.get(name.span)) is not None:
-            self.found.append(Occurrence(span, self.near(meant[0], item), meant[1]))
+            self.found.append(Occurrence(span, self.resolve_nearby(meant[0], item), meant[1]))
 
-    def near(self, key: Key, item: nodes.TopItem) -> Key:
+    def resolve_nearby(self, key: Key, item: nodes.TopItem) -> Key:
         """Return the key of a name that the checker did not reach: the name of that kind in the enclosing behaviour or species,
         if there is one."""
         if key[0] in ("?", "?state") and isinstance(item, (nodes.Behaviour, nodes.Species)):
@@ -156,7 +156,7 @@ class _Index:
                     return each
         return key
 
-    def by_place(self, names: nodes.Name | tuple[nodes.Name, ...] | None, kind: str) -> None:
+    def mark_by_position(self, names: nodes.Name | tuple[nodes.Name, ...] | None, kind: str) -> None:
         for name in names if isinstance(names, tuple) else (names,):
             if name is not None:
                 self.meant.setdefault(name.span, ((kind, name.text), False))
@@ -196,7 +196,7 @@ class _Index:
 
     def element(self, variable: nodes.Name | None) -> None:
         if variable is not None:
-            self.meant[variable.span] = (_element(self.names, variable.span), True)
+            self.meant[variable.span] = (_element_key(self.names, variable.span), True)
 
     def comprehension(self, node: nodes.Comprehension) -> None:
         self.element(node.variable)
@@ -206,27 +206,27 @@ class _Index:
 
     def reference(self, node: nodes.NameRef) -> None:
         name = node.name.text
-        self.by_place(node.name, "given" if name in BUILTIN_ATTRIBUTES else "word" if name in _WORDS else "?")
+        self.mark_by_position(node.name, "given" if name in BUILTIN_ATTRIBUTES else "word" if name in _WORDS else "?")
 
     def member(self, node: nodes.Member) -> None:
         motion = isinstance(node.owner, nodes.NameRef) and node.owner.name.text == "motion" and node.name.text in MOTION
-        self.by_place(node.name, "motion" if motion else "word" if node.name.text in STATE_WORDS else "?member")
+        self.mark_by_position(node.name, "motion" if motion else "word" if node.name.text in STATE_WORDS else "?member")
 
     def call(self, node: nodes.Call) -> None:
         function = node.function
         called = function.name.text if isinstance(function, (nodes.NameRef, nodes.Member)) else ""
         if isinstance(function, (nodes.NameRef, nodes.Member)):
             bare = isinstance(function, nodes.NameRef)
-            self.by_place(function.name, "builtin" if bare and called in _CALLED else "?behaviour")
+            self.mark_by_position(function.name, "builtin" if bare and called in _CALLED else "?behaviour")
         self.arguments(called, node)
 
     def ask(self, node: nodes.Ask) -> None:
         row = EFFECTS.get(node.verb)
         if row is not None and row.target:
             kind = row.target if row.target in ("field", "event", "species") else "thing"
-            self.by_place(node.name, kind)
+            self.mark_by_position(node.name, kind)
         elif node.name is not None:
-            self.by_place(node.name, "body")
+            self.mark_by_position(node.name, "body")
         self.arguments(node.verb, node)
 
     def arguments(self, called: str, node: nodes.Call | nodes.Ask) -> None:

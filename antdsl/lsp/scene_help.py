@@ -40,10 +40,10 @@ def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
         if depth < level:
             above.insert(0, match.group(2))
             level = depth
-    return (*above, *_inside(line)), line
+    return (*above, *_open_keys(line)), line
 
 
-def _inside(line: str) -> list[str]:
+def _open_keys(line: str) -> list[str]:
     """Return the keys with an open value in this line: `crowd: - {place: {` gives crowd, place."""
     stack: list[str] = []
     key = ""
@@ -74,8 +74,8 @@ def complete_scene(workspace: Workspace, document: Document, offset: int) -> lis
     return list(_keys(workspace, document, tuple(part for part in path if not part.endswith(":")), line))
 
 
-def _programs(workspace: Workspace, document: Document) -> Iterator[Document]:
-    for path in workspace.linked(document.path):
+def _crowd_programs(workspace: Workspace, document: Document) -> Iterator[Document]:
+    for path in workspace.linked_files(document.path):
         other = workspace.document(path)
         if other is not None and other.is_program:
             yield other
@@ -90,11 +90,15 @@ def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line:
         yield from _settings(workspace, document)
     elif path == ("fields",):
         yield from (
-            Item(name, "property", "field", "", f"{name}: ") for p in _programs(workspace, document) for name in p.names.fields
+            Item(name, "property", "field", "", f"{name}: ")
+            for p in _crowd_programs(workspace, document)
+            for name in p.names.fields
         )
     elif path == ("layers",):
         yield from (
-            Item(name, "property", "species", "", f"{name}: ") for p in _programs(workspace, document) for name in p.names.species
+            Item(name, "property", "species", "", f"{name}: ")
+            for p in _crowd_programs(workspace, document)
+            for name in p.names.species
         )
     elif path[:1] == ("fields",):
         yield from _fields(model.FieldStart)
@@ -113,7 +117,7 @@ def _fields(part: type[model.Part]) -> Iterator[Item]:
 
 
 def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> Iterator[Item]:
-    things = {name: item for each in _programs(workspace, document) for name, item in each.names.things.items()}
+    things = {name: item for each in _crowd_programs(workspace, document) for name, item in each.names.things.items()}
     if len(path) == 1:
         for name, item in things.items():
             form = KINDS_OF_THINGS[item.kind.text].snippet if item.kind.text in KINDS_OF_THINGS else ""
@@ -135,7 +139,7 @@ def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> I
 
 
 def _settings(workspace: Workspace, document: Document) -> Iterator[Item]:
-    for program in _programs(workspace, document):
+    for program in _crowd_programs(workspace, document):
         for species, table in program.names.species.items():
             for name, member in table.own.items():
                 node = declaration(member)
@@ -152,9 +156,9 @@ def _settings(workspace: Workspace, document: Document) -> Iterator[Item]:
 
 
 def _values(workspace: Workspace, document: Document, key: str, path: tuple[str, ...]) -> Iterator[Item]:
-    things: dict[str, Any] = {n: i for each in _programs(workspace, document) for n, i in each.names.things.items()}
+    things: dict[str, Any] = {n: i for each in _crowd_programs(workspace, document) for n, i in each.names.things.items()}
     if key == "species":
-        for each in _programs(workspace, document):
+        for each in _crowd_programs(workspace, document):
             yield from (Item(n, "thing", "species") for n, t in each.names.species.items() if t.node is not None)
     elif key in ("from", "extends"):
         suffix = (".ant",) if key == "from" and "crowd" in path else (".yaml", ".yml")

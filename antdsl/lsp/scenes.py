@@ -32,7 +32,7 @@ class SceneIndex:
     fps: str | None = None
     items: dict[str, Span] = field(default_factory=dict)  # names that this scene gives to single items
 
-    def say(self, span: Span, key: Key, declares: bool = False) -> None:
+    def add_occurrence(self, span: Span, key: Key, declares: bool = False) -> None:
         self.occurrences.append(Occurrence(span, key, declares))
 
 
@@ -58,7 +58,7 @@ def _mapping(node: Node | None) -> list[tuple[str, Span, Node]]:
 def _file(index: SceneIndex, node: Node) -> None:
     if isinstance(node, ScalarNode) and ":" not in node.text:
         path = real_path(index.path.parent.joinpath(node.text))
-        index.say(node.span, ("file", str(path)))
+        index.add_occurrence(node.span, ("file", str(path)))
         if path.suffix in (".ant", ".yaml", ".yml"):
             index.files.append(path)
 
@@ -66,43 +66,43 @@ def _file(index: SceneIndex, node: Node) -> None:
 def _world(index: SceneIndex, node: Node) -> None:
     things = {name for name, _, _ in _mapping(node)}
     for thing, span, value in _mapping(node):
-        index.say(span, ("thing", thing))
+        index.add_occurrence(span, ("thing", thing))
         for word, place, inner in _mapping(value):
             if isinstance(inner, MappingNode) and word not in ("keys", "maps", "each"):
                 index.items[word] = place
-                index.say(place, ("scene-item", word), True)
+                index.add_occurrence(place, ("scene-item", word), True)
                 _item(index, thing, inner, things)
             elif word == "each":
                 _attributes(index, thing, inner)
             elif word in FILE_HEADS:
                 _file(index, inner)
             else:
-                _named(index, word, inner, things)
+                _add_named_thing(index, word, inner, things)
 
 
 def _item(index: SceneIndex, thing: str, node: Node, things: set[str]) -> None:
     _attributes(index, thing, node)
     for word, _, inner in _mapping(node):
         if word == "on":
-            _named(index, word, inner, things)
+            _add_named_thing(index, word, inner, things)
 
 
 def _attributes(index: SceneIndex, thing: str, node: Node) -> None:
     known = {*ItemThing.model_fields, *ITEM_ATTRIBUTES}
     for word, span, _ in _mapping(node):
         if word not in known:
-            index.say(span, ("attribute", thing, word))
+            index.add_occurrence(span, ("attribute", thing, word))
 
 
-def _named(index: SceneIndex, key: str, node: Node, things: set[str]) -> None:
+def _add_named_thing(index: SceneIndex, key: str, node: Node, things: set[str]) -> None:
     """Record a value that may name a thing of the world or an item; `?scene` where only the base scene can decide."""
     if isinstance(node, ScalarNode):
         if node.text in things:
-            index.say(node.span, ("thing", node.text))
+            index.add_occurrence(node.span, ("thing", node.text))
         elif node.text in index.items:
-            index.say(node.span, ("scene-item", node.text))
+            index.add_occurrence(node.span, ("scene-item", node.text))
         elif key in _NAMING and _WORD.fullmatch(node.text) and not node.quoted:
-            index.say(node.span, ("?scene", node.text))
+            index.add_occurrence(node.span, ("?scene", node.text))
 
 
 def _crowd(index: SceneIndex, node: Node) -> None:
@@ -111,7 +111,7 @@ def _crowd(index: SceneIndex, node: Node) -> None:
     for line in node.items if isinstance(node, SequenceNode) else ():
         for word, _, value in _mapping(line):
             if word == "species" and isinstance(value, ScalarNode):
-                index.say(value.span, ("species", value.text))
+                index.add_occurrence(value.span, ("species", value.text))
             elif word == "from":
                 _file(index, value)
             elif word == "place":
@@ -119,7 +119,7 @@ def _crowd(index: SceneIndex, node: Node) -> None:
                     if key == "points":
                         _file(index, inner)
                     elif key in ("on", "around", "density"):
-                        _named(index, key, inner, things)
+                        _add_named_thing(index, key, inner, things)
 
 
 def _set(index: SceneIndex, node: Node) -> None:
@@ -130,22 +130,22 @@ def _set(index: SceneIndex, node: Node) -> None:
         first = Span(span.source, span.start, span.start + len(owner))
         second = Span(span.source, span.start + len(owner) + 1, span.end)
         field = word in FIELD_SETTINGS
-        index.say(first, ("field" if field else "species", owner))
-        index.say(second, ("setting", word) if field else ("own", owner, word))
+        index.add_occurrence(first, ("field" if field else "species", owner))
+        index.add_occurrence(second, ("setting", word) if field else ("own", owner, word))
 
 
 def _fields(index: SceneIndex, node: Node) -> None:
     for name, span, value in _mapping(node):
-        index.say(span, ("field", name))
+        index.add_occurrence(span, ("field", name))
         for key, _, inner in _mapping(value):
             if key == "around":
-                _named(index, key, inner, set())
+                _add_named_thing(index, key, inner, set())
 
 
 def _layers(index: SceneIndex, node: Node) -> None:
     """Record the layers of a node. A layer is named by its text, or by the first word of its text."""
     for species, span, value in _mapping(node):
-        index.say(span, ("species", species))
+        index.add_occurrence(span, ("species", species))
         for item in value.items if isinstance(value, SequenceNode) else ():
             if not isinstance(item, ScalarNode) or item.text.strip() == "state":
                 continue
@@ -153,7 +153,7 @@ def _layers(index: SceneIndex, node: Node) -> None:
             plain = item.span.source.text[begin : begin + len(item.text)] == item.text  # no `\\` in it
             for number, word in enumerate(_WORD.finditer(item.text) if plain else ()):
                 place = Span(item.span.source, begin + word.start(), begin + word.end())
-                index.say(place, ("?layer", species, word[0]) if number else ("?behaviour", word[0]))
+                index.add_occurrence(place, ("?layer", species, word[0]) if number else ("?behaviour", word[0]))
 
 
 def _extends(index: SceneIndex, node: Node) -> None:

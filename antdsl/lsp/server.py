@@ -18,13 +18,21 @@ from antdsl.lsp import protocol
 from antdsl.lsp.features import tokens
 from antdsl.lsp.features.actions import actions
 from antdsl.lsp.features.completion import complete
-from antdsl.lsp.features.context import begins_line
+from antdsl.lsp.features.context import is_line_start
 from antdsl.lsp.features.describe import describe
-from antdsl.lsp.features.formatting import formatted
+from antdsl.lsp.features.formatting import formatting_edits
 from antdsl.lsp.features.hints import hints
-from antdsl.lsp.features.navigation import NameLocation, Refused, definition, meant, references, renamable, rename
+from antdsl.lsp.features.navigation import (
+    NameLocation,
+    RenameRefused,
+    definition,
+    references,
+    renamable_name,
+    rename,
+    resolve_key,
+)
 from antdsl.lsp.features.outline import folds, symbols
-from antdsl.lsp.language import keyword
+from antdsl.lsp.language import describe_keyword
 from antdsl.lsp.scene_help import complete_scene
 from antdsl.lsp.text import path_of, uri_of
 from antdsl.lsp.words import SCENE_HELP
@@ -62,7 +70,7 @@ class Server(LanguageServer):
         path = target.document.path
         return lsp.Location(self.uris.get(path, uri_of(path)), protocol.range_of(target.range))
 
-    def snippets(self) -> bool:
+    def supports_snippets(self) -> bool:
         capabilities = self.client_capabilities.text_document
         item = (
             capabilities.completion.completion_item if capabilities is not None and capabilities.completion is not None else None
@@ -76,9 +84,9 @@ class Server(LanguageServer):
         import asyncio
 
         self.waiting.add(path)
-        asyncio.get_running_loop().call_soon(self._check_waiting)
+        asyncio.get_running_loop().call_soon(self._check_pending)
 
-    def _check_waiting(self) -> None:
+    def _check_pending(self) -> None:
         waiting, self.waiting = self.waiting, set()
         for path in sorted(waiting):
             self.tell(path)
@@ -132,7 +140,7 @@ def _folders(ls: Server, params: lsp.DidChangeWorkspaceFoldersParams) -> None:
 
 
 @server.feature(lsp.TEXT_DOCUMENT_DID_OPEN)
-def _opened(ls: Server, params: lsp.DidOpenTextDocumentParams) -> None:
+def _did_open(ls: Server, params: lsp.DidOpenTextDocumentParams) -> None:
     path = ls.path(params.text_document.uri)
     ls.uris[path] = params.text_document.uri
     ls.files.put(path, params.text_document.text, params.text_document.version)
@@ -140,7 +148,7 @@ def _opened(ls: Server, params: lsp.DidOpenTextDocumentParams) -> None:
 
 
 @server.feature(lsp.TEXT_DOCUMENT_DID_CHANGE)
-def _changed(ls: Server, params: lsp.DidChangeTextDocumentParams) -> None:
+def _did_change(ls: Server, params: lsp.DidChangeTextDocumentParams) -> None:
     path = ls.path(params.text_document.uri)
     document = ls.files.open.get(path)
     if document is None:
@@ -151,31 +159,31 @@ def _changed(ls: Server, params: lsp.DidChangeTextDocumentParams) -> None:
             start, end = change.range.start, change.range.end
             text = text.edited((start.line, start.character), (end.line, end.character), change.text)
         else:
-            text = text.replaced(change.text)
+            text = text.with_text(change.text)
     ls.files.change(path, text, params.text_document.version)
     ls.check_soon(path)
 
 
 @server.feature(lsp.TEXT_DOCUMENT_DID_CLOSE)
-def _closed(ls: Server, params: lsp.DidCloseTextDocumentParams) -> None:
+def _did_close(ls: Server, params: lsp.DidCloseTextDocumentParams) -> None:
     path = ls.path(params.text_document.uri)
     ls.files.close(path)
     ls.uris.pop(path, None)
     ls.text_document_publish_diagnostics(lsp.PublishDiagnosticsParams(params.text_document.uri, []))
-    _others(ls)
+    _recheck_open_documents(ls)
 
 
 @server.feature(lsp.TEXT_DOCUMENT_DID_SAVE)
-def _saved(ls: Server, params: lsp.DidSaveTextDocumentParams) -> None:
-    _others(ls)
+def _did_save(ls: Server, params: lsp.DidSaveTextDocumentParams) -> None:
+    _recheck_open_documents(ls)
 
 
 @server.feature(lsp.WORKSPACE_DID_CHANGE_WATCHED_FILES)
-def _watched(ls: Server, params: lsp.DidChangeWatchedFilesParams) -> None:
-    _others(ls)
+def _did_change_watched_files(ls: Server, params: lsp.DidChangeWatchedFilesParams) -> None:
+    _recheck_open_documents(ls)
 
 
-def _others(ls: Server) -> None:
+def _recheck_open_documents(ls: Server) -> None:
     """Check all open documents again after a change on disk. This costs almost nothing where nothing changed."""
     ls.files.search_again()
     for path in ls.files.open:
@@ -185,7 +193,7 @@ def _others(ls: Server) -> None:
 # --- questions about a place -----------------------------------------------------------------------------------------
 
 
-def _at(ls: Server, params: Any, answer: Callable[[Document, int], T]) -> T | None:
+def _answer_at(ls: Server, params: Any, answer: Callable[[Document, int], T]) -> T | None:
     document = ls.document(params.text_document.uri)
     if document is None:
         return None
@@ -199,16 +207,18 @@ def _hover(ls: Server, params: lsp.HoverParams) -> lsp.Hover | None:
         said = {
             text: each.span
             for each in names
-            if (text := describe(ls.files, document, meant(ls.files, document, each.key))) is not None
+            if (text := describe(ls.files, document, resolve_key(ls.files, document, each.key))) is not None
         }
         if not said:
-            start, end = document.word(offset)
+            start, end = document.word_at(offset)
             word = document.text.text[start:end]
-            text = keyword(word, begins_line(document.text.text, start)) if document.is_program else SCENE_HELP.get(word)
+            text = (
+                describe_keyword(word, is_line_start(document.text.text, start)) if document.is_program else SCENE_HELP.get(word)
+            )
             return lsp.Hover(_markdown(text), protocol.range_of(document.text.range(start, end))) if text else None
         return lsp.Hover(_markdown("\n\n---\n\n".join(said)), protocol.range_of(document.range(next(iter(said.values())))))
 
-    return _at(ls, params, answer)
+    return _answer_at(ls, params, answer)
 
 
 def _markdown(text: str) -> lsp.MarkupContent:
@@ -219,21 +229,21 @@ def _markdown(text: str) -> lsp.MarkupContent:
 def _completion(ls: Server, params: lsp.CompletionParams) -> lsp.CompletionList | None:
     def answer(document: Document, offset: int) -> lsp.CompletionList:
         proposals = complete(ls.files, document, offset) if document.is_program else complete_scene(ls.files, document, offset)
-        snippets = ls.snippets()
+        snippets = ls.supports_snippets()
         return lsp.CompletionList(False, [protocol.item(each, snippets) for each in proposals])
 
-    return _at(ls, params, answer)
+    return _answer_at(ls, params, answer)
 
 
 @server.feature(lsp.TEXT_DOCUMENT_DEFINITION)
 def _definition(ls: Server, params: lsp.DefinitionParams) -> list[lsp.Location] | None:
-    return _at(ls, params, lambda document, offset: [ls.location(each) for each in definition(ls.files, document, offset)])
+    return _answer_at(ls, params, lambda document, offset: [ls.location(each) for each in definition(ls.files, document, offset)])
 
 
 @server.feature(lsp.TEXT_DOCUMENT_REFERENCES)
 def _references(ls: Server, params: lsp.ReferenceParams) -> list[lsp.Location] | None:
     declaration = params.context.include_declaration
-    return _at(
+    return _answer_at(
         ls, params, lambda document, offset: [ls.location(each) for each in references(ls.files, document, offset, declaration)]
     )
 
@@ -244,18 +254,18 @@ def _highlight(ls: Server, params: lsp.DocumentHighlightParams) -> list[lsp.Docu
         locations = references(ls.files, document, offset)
         return [lsp.DocumentHighlight(protocol.range_of(each.range)) for each in locations if each.document is document]
 
-    return _at(ls, params, answer)
+    return _answer_at(ls, params, answer)
 
 
 @server.feature(lsp.TEXT_DOCUMENT_PREPARE_RENAME)
-def _prepare(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | None:
+def _prepare_rename(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | None:
     def answer(document: Document, offset: int) -> lsp.Range:
         try:
-            return protocol.range_of(document.range(renamable(ls.files, document, offset).span))
-        except Refused as why:
+            return protocol.range_of(document.range(renamable_name(ls.files, document, offset).span))
+        except RenameRefused as why:
             raise JsonRpcInvalidParams(str(why)) from None
 
-    return _at(ls, params, answer)
+    return _answer_at(ls, params, answer)
 
 
 @server.feature(lsp.TEXT_DOCUMENT_RENAME, lsp.RenameOptions(prepare_provider=True))
@@ -263,14 +273,14 @@ def _rename(ls: Server, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
     def answer(document: Document, offset: int) -> lsp.WorkspaceEdit:
         try:
             locations = rename(ls.files, document, offset, params.new_name)
-        except Refused as why:
+        except RenameRefused as why:
             raise JsonRpcInvalidParams(str(why)) from None
         edits: dict[Path, list[lsp.TextEdit]] = {}
         for each in locations:
             edits.setdefault(each.document.path, []).append(lsp.TextEdit(protocol.range_of(each.range), params.new_name))
         return protocol.changes(edits, ls.uris)
 
-    return _at(ls, params, answer)
+    return _answer_at(ls, params, answer)
 
 
 # --- questions about a document --------------------------------------------------------------------------------------
@@ -328,7 +338,7 @@ def _actions(ls: Server, params: lsp.CodeActionParams) -> list[lsp.CodeAction]:
 @server.feature(lsp.TEXT_DOCUMENT_FORMATTING)
 def _format(ls: Server, params: lsp.DocumentFormattingParams) -> list[lsp.TextEdit] | None:
     document = ls.document(params.text_document.uri)
-    edits = formatted(document) if document is not None and document.is_program else None
+    edits = formatting_edits(document) if document is not None and document.is_program else None
     return protocol.text_edits(document, edits) if document is not None and edits is not None else None
 
 

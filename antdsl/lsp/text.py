@@ -21,7 +21,7 @@ class Edit:
     text: str
 
 
-def normal(text: str) -> str:
+def normalise_line_ends(text: str) -> str:
     """Normalise line ends as `syntax.read` does. An editor's lines and columns are the same in both."""
     return text.removeprefix("\ufeff").replace("\r\n", "\n").replace("\r", "\n") if "\r" in text or "\ufeff" in text[:1] else text
 
@@ -82,14 +82,14 @@ class Text:
             return len(character.encode("utf-8", "surrogatepass"))
         return 2 if self.encoding == "utf-16" and character > "\uffff" else 1
 
-    def replaced(self, text: str) -> Text:
+    def with_text(self, text: str) -> Text:
         """Another text, in the same encoding."""
-        return Text(normal(text), self.encoding)
+        return Text(normalise_line_ends(text), self.encoding)
 
     def edited(self, start: Place, end: Place, text: str) -> Text:
         """The text with a stretch of it replaced."""
         first, last = self.offset(*start), self.offset(*end)
-        return Text(self.text[:first] + normal(text) + self.text[max(first, last) :], self.encoding)
+        return Text(self.text[:first] + normalise_line_ends(text) + self.text[max(first, last) :], self.encoding)
 
 
 def path_of(uri: str) -> Path | None:

@@ -15,18 +15,18 @@ from typing import TYPE_CHECKING
 from antdsl import limits, syntax
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Diagnostic, Report
-from antdsl.diagnostics.ignoring import judged
+from antdsl.diagnostics.ignoring import apply_ignores
 from antdsl.files import find_files
 from antdsl.loading import Parsed
 from antdsl.lsp.names import Names, Occurrence, names_of, occurrences
 from antdsl.lsp.scenes import SceneIndex, scene_index
-from antdsl.lsp.text import Range, Text, normal
+from antdsl.lsp.text import Range, Text, normalise_line_ends
 from antdsl.pipeline import check_scene_text, compile_files
 from antdsl.program.memo import Memo
 from antdsl.program.names.bindings import Bindings
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
-from antdsl.syntax.parts import Parts
+from antdsl.syntax.parts import IncrementalParser
 
 if TYPE_CHECKING:
     from antdsl.program.model import Program
@@ -63,7 +63,7 @@ class Document:
     stamp: tuple[int, int] | None = None
     version: int | None = None
     earlier: SceneIndex | None = None  # of the text before, for while this one is no YAML
-    parts: Parts = field(default_factory=Parts)  # go from one version of an open buffer to the next
+    parts: IncrementalParser = field(default_factory=IncrementalParser)  # go from one version of an open buffer to the next
     _index: tuple[Bindings, Index] | None = None
 
     @property
@@ -79,7 +79,7 @@ class Document:
         return names_of(self.path, self.parsed[0])
 
     @cached_property
-    def uses(self) -> list[Path]:
+    def used_files(self) -> list[Path]:
         """The files behind `use "PATH"`."""
         written = (item.path for item in self.parsed[0].items if isinstance(item, nodes.Use))
         return [real_path(self.path.parent.joinpath(path.text)) for path in written if path is not None]
@@ -129,7 +129,7 @@ class Document:
             name_occurrences.insert(0, each)
         return sorted(name_occurrences, key=lambda each: self.end(each.span) == offset)
 
-    def word(self, offset: int) -> tuple[int, int]:
+    def word_at(self, offset: int) -> tuple[int, int]:
         """Where the word at an offset begins and ends."""
         text, start, end = self.text.text, offset, offset
         while start > 0 and (text[start - 1].isalnum() or text[start - 1] == "_"):
@@ -140,7 +140,7 @@ class Document:
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class CheckResult:
     """The result of checking a document. `program` and `scene` are None where errors prevented them."""
 
     program: Program | None
@@ -156,7 +156,7 @@ class Workspace:
     encoding: str = "utf-16"
     open: dict[Path, Document] = field(default_factory=dict)
     _disk: dict[Path, Document] = field(default_factory=dict)
-    _checked: dict[Path, tuple[object, Checked]] = field(default_factory=dict)
+    _checked: dict[Path, tuple[object, CheckResult]] = field(default_factory=dict)
     _good: dict[Path, Program] = field(default_factory=dict)
     _memos: dict[Path, Memo] = field(default_factory=dict)
     _searched: tuple[float, list[Path]] = (0.0, [])  # until when these files count as all
@@ -165,13 +165,13 @@ class Workspace:
 
     def put(self, path: Path, text: str, version: int | None = None) -> Document:
         """An open buffer, new or changed."""
-        document = self.open[path] = Document(path, Text(normal(text), self.encoding), self.bindings, None, version)
+        document = self.open[path] = Document(path, Text(normalise_line_ends(text), self.encoding), self.bindings, None, version)
         return document
 
     def change(self, path: Path, text: Text, version: int | None) -> Document:
         previous_document = self.open.get(path)
         earlier = previous_document.scene if previous_document is not None and not previous_document.is_program else None
-        parts = previous_document.parts if previous_document is not None else Parts()
+        parts = previous_document.parts if previous_document is not None else IncrementalParser()
         document = self.open[path] = Document(path, text, self.bindings, None, version, earlier, parts)
         return document
 
@@ -212,31 +212,31 @@ class Workspace:
 
     # --- checking ---
 
-    def check(self, path: Path) -> Checked | None:
+    def check(self, path: Path) -> CheckResult | None:
         """Return the checked document; it is checked again where a file that it depends on has changed. None if there is no
         document."""
         document = self.document(path)
         if document is None:
             return None
         known = self._checked.get(path)
-        if known is not None and known[0] == self._state(path):
+        if known is not None and known[0] == self._dependency_state(path):
             return known[1]
         checked = self._check_program(document) if document.is_program else self._check_scene(document)
         if checked.program is not None and checked.report.ok:
             self._good[path] = checked.program
-        self._checked[path] = (self._state(path), checked)
+        self._checked[path] = (self._dependency_state(path), checked)
         return checked
 
-    def _state(self, path: Path) -> object:
+    def _dependency_state(self, path: Path) -> object:
         """Return all inputs of a check: the related documents in their current state."""
-        return [(each, self.document(each)) for each in self.linked(path)]
+        return [(each, self.document(each)) for each in self.linked_files(path)]
 
     def bindings(self, path: Path) -> Bindings:
         """Return the resolved names of a program, as far as its text is valid."""
         checked = self.check(path)
         return NO_BINDINGS if checked is None or checked.program is None else checked.program.bindings
 
-    def good(self, path: Path) -> Program | None:
+    def last_good_program(self, path: Path) -> Program | None:
         """Return the last program of this document that checked without errors, for queries during an edit."""
         checked = self.check(path)
         return self._good.get(path) or (checked.program if checked is not None else None)
@@ -244,7 +244,7 @@ class Workspace:
     def parsed(self, path: Path) -> Parsed:
         """Return the cached parse results for the chain. Documents open in the editor have priority."""
         programs: Parsed = {}
-        for each in {*self.open, *self.linked(path), *self._libraries()}:
+        for each in {*self.open, *self.linked_files(path), *self._libraries()}:
             document = self.document(each)
             if document is not None and document.is_program:
                 file, report = document.parsed
@@ -256,18 +256,18 @@ class Workspace:
 
         return [Path(os.path.realpath(path)) for path in behaviours_folder().glob("*.ant")]
 
-    def _check_program(self, document: Document) -> Checked:
+    def _check_program(self, document: Document) -> CheckResult:
         # a text that had to be read as a whole has nothing in common with the one before, which may come back
         has_parts = document.path in self.open and document.parsed[0].parts
         memo = self._memos.setdefault(document.path, Memo()) if has_parts else None
         program, report = compile_files([document.path], parsed=self.parsed(document.path), memo=memo)
-        return Checked(program, None, report)
+        return CheckResult(program, None, report)
 
-    def _check_scene(self, document: Document) -> Checked:
+    def _check_scene(self, document: Document) -> CheckResult:
         texts = {each.path: each.text.text.encode("utf-8", "surrogatepass") for each in (document, *self.open.values())}
         texts = {path: data for path, data in texts.items() if path.suffix != PROGRAM}
         scene, program, report = check_scene_text(document.path, texts, parsed=self.parsed(document.path))
-        return Checked(program, scene, report)
+        return CheckResult(program, scene, report)
 
     def complaints(self, path: Path) -> list[Diagnostic]:
         """Return the findings in this very document; one about all of it has no span. A YAML file that is no scene has none:
@@ -282,11 +282,11 @@ class Workspace:
         said = [d for d in checked.report.sorted() if d.span is None or os.path.realpath(d.span.source.path) == own]
         if document is None:
             return said
-        return judged(Report(said), [Source(own, document.text.text)], sound=checked.report.ok, meshes=False).sorted()
+        return apply_ignores(Report(said), [Source(own, document.text.text)], sound=checked.report.ok, meshes=False).sorted()
 
     # --- which files belong together ---
 
-    def linked(self, path: Path) -> list[Path]:
+    def linked_files(self, path: Path) -> list[Path]:
         """Return a file, the files that it names, and the files that those name."""
         paths: dict[Path, None] = {}
         stack = [path]
@@ -297,13 +297,13 @@ class Workspace:
             paths[each] = None
             document = self.document(each)
             if document is not None:
-                stack += document.uses if document.is_program else document.scene.files
+                stack += document.used_files if document.is_program else document.scene.files
         return list(paths)
 
-    def family(self, path: Path) -> list[Path]:
+    def related_files(self, path: Path) -> list[Path]:
         """Return all files in which a name of this file may occur: linked by `use`, or by scenes that use them together."""
-        links = {each: set(self.linked(each)) for each in self.files()}
-        links.setdefault(path, set(self.linked(path)))
+        links = {each: set(self.linked_files(each)) for each in self.files()}
+        links.setdefault(path, set(self.linked_files(path)))
         members = set(links[path]) | {path}
         grown = True
         while grown:
@@ -314,16 +314,18 @@ class Workspace:
                     grown = True
         return sorted(members)
 
-    def extending(self, path: Path) -> list[Path]:
+    def extending_scenes(self, path: Path) -> list[Path]:
         """Return a scene, the scenes that it extends, and all scenes that extend one of these."""
-        behind = {each: {p for p in self.linked(each) if p.suffix != PROGRAM} for each in self.files() if each.suffix != PROGRAM}
-        mine = behind.get(path, {p for p in self.linked(path) if p.suffix != PROGRAM})
+        behind = {
+            each: {p for p in self.linked_files(each) if p.suffix != PROGRAM} for each in self.files() if each.suffix != PROGRAM
+        }
+        mine = behind.get(path, {p for p in self.linked_files(path) if p.suffix != PROGRAM})
         others = {each for each, linked in behind.items() if linked & mine} | mine
         return [path, *sorted(others - {path})]
 
     def scenes_of(self, path: Path) -> list[Path]:
         """Open scenes that use a program, or extend a scene."""
-        return [each for each in self.open if each != path and path in self.linked(each)]
+        return [each for each in self.open if each != path and path in self.linked_files(each)]
 
     def files(self) -> list[Path]:
         """Return the programs and scenes below the editor's folders, and the open ones.

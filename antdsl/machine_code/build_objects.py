@@ -35,51 +35,51 @@ def build(folder: Path, entries: Sequence[library.Entry], targets: Iterable[str]
     for name in targets:
         target = shipped.TARGETS[name]
         stored = shipped.Objects(shipped.file_of(folder, name))
-        keys[name] = {_place(each): shipped.key(named, target) for each in entries if (named := each.named(target))}
+        keys[name] = {_entry_key(each): shipped.key(named, target) for each in entries if (named := each.text_key(target))}
         objects_by_target[name] = {key: code for key in keys[name].values() if (code := stored.get(key)) is not None}
     tasks: list[_Task] = []
     for each in entries:
-        place = _place(each)
+        place = _entry_key(each)
         missing = tuple(name for name in keys if place in keys[name] and keys[name][place] not in objects_by_target[name])
         if missing:
             tasks.append((place, missing))
-    for (place, names), codes in zip(tasks, _compiled(tasks, entries, processes), strict=True):
+    for (place, names), codes in zip(tasks, _compile_tasks(tasks, entries, processes), strict=True):
         for name, code in zip(names, codes, strict=True):
             objects_by_target[name][keys[name][place]] = code
     folder.mkdir(parents=True, exist_ok=True)
     for name, codes_by_key in objects_by_target.items():
-        write_atomically(shipped.file_of(folder, name), shipped.packed(codes_by_key))
+        write_atomically(shipped.file_of(folder, name), shipped.pack_objects(codes_by_key))
     shipped.forget()
     return sum(len(names) for _, names in tasks)
 
 
-def _place(entry: library.Entry) -> _Place:
+def _entry_key(entry: library.Entry) -> _Place:
     return entry.__module__, entry.__name__
 
 
-def _compiled(tasks: list[_Task], entries: Sequence[library.Entry], processes: int) -> Iterator[list[bytes]]:
+def _compile_tasks(tasks: list[_Task], entries: Sequence[library.Entry], processes: int) -> Iterator[list[bytes]]:
     """What each task gives, in their order."""
     if processes < 2 or len(tasks) < 2:
-        known = {_place(each): each for each in entries}
+        known = {_entry_key(each): each for each in entries}
         for place, names in tasks:
-            yield _codes(known[place], names)
+            yield _object_codes(known[place], names)
         return
     with ProcessPoolExecutor(min(processes, len(tasks)), multiprocessing.get_context("spawn")) as pool:
-        yield from pool.map(_work, tasks)
+        yield from pool.map(_compile_task, tasks)
 
 
-def _work(task: _Task) -> list[bytes]:
+def _compile_task(task: _Task) -> list[bytes]:
     place, names = task
-    return _codes(_library()[place], names)
+    return _object_codes(_library()[place], names)
 
 
 @cache
 def _library() -> dict[_Place, library.Entry]:
     """The package's kernels and texts, in a process of the pool."""
-    return {_place(each): each for each in library.load()}
+    return {_entry_key(each): each for each in library.load()}
 
 
-def _codes(entry: library.Entry, names: tuple[str, ...]) -> list[bytes]:
+def _object_codes(entry: library.Entry, names: tuple[str, ...]) -> list[bytes]:
     return [machine.object_code(entry.text(shipped.TARGETS[name]), shipped.TARGETS[name]) for name in names]
 
 

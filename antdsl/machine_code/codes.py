@@ -23,7 +23,7 @@ def code(named: str, write: Callable[[], str] | None = None) -> machine.Code:
         if key in _known:
             _known.move_to_end(key)
             return _known[key]
-    stored = _stored(named, target, key)
+    stored = _find_stored_code(named, target, key)
     object_file = machine.object_code(named if write is None else write(), target) if stored is None else stored
     loaded_code = machine.load(object_file)
     if stored is None:
@@ -42,12 +42,12 @@ def is_available(named: str) -> bool:
     with _guard:
         if key in _known:
             return True
-    return _stored(named, target, key) is not None
+    return _find_stored_code(named, target, key) is not None
 
 
-def _stored(named: str, target: machine.Target, key: str) -> bytes | None:
+def _find_stored_code(named: str, target: machine.Target, key: str) -> bytes | None:
     """Return the object file of a text: from the installation, or else from an earlier run, where it is stored under a key."""
-    shipped_object = shipped.find(named, target)
+    shipped_object = shipped.find_object(named, target)
     return _objects().get(key) if shipped_object is None else shipped_object
 
 

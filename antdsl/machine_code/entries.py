@@ -12,14 +12,14 @@ ARGUMENTS = "ptr %t, i64 %begin, i64 %end"
 _USUAL = 0x1F80  # of MXCSR: nothing is flushed, to nearest, no operation traps
 
 
-def entry(module: Module, name: str, body: str, line_table: str = "") -> str:
+def inner_text(module: Module, name: str, body: str, line_table: str = "") -> str:
     """Return the text of a function of (table of addresses, first row, row after the last) with a given body. `line_table` is the
     metadata of the body, if any."""
     inside = f"define internal void @{name}.inside({ARGUMENTS}) noinline{line_table} {{\nentry:\n{body}\n  ret void\n}}"
-    return outer(module, name) + inside
+    return outer_text(module, name) + inside
 
 
-def outer(module: Module, name: str) -> str:
+def outer_text(module: Module, name: str) -> str:
     """Return the text of the function that is called from outside. It calls the function that does the work, named with `.inside`
     at the end."""
     prologue, epilogue = _x86(module) if module.target.x86 else _arm(module) if module.target.arm else ("", "")

@@ -45,10 +45,10 @@ class Lanes(Number):
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **options: Any) -> Any:
         if method != "__call__" or any(value is not None for value in options.values()):
             return NotImplemented
-        return self.e.meaning(ufunc, *inputs)
+        return self.e.apply_function(ufunc, *inputs)
 
     def __array_function__(self, function: Any, types: Any, inputs: tuple[Any, ...], options: Mapping[str, Any]) -> Any:
-        return NotImplemented if options else self.e.meaning(function, *inputs)
+        return NotImplemented if options else self.e.apply_function(function, *inputs)
 
     def astype(self, dtype: Any) -> Lanes:
         return self.e.convert(self, TYPES[np.dtype(dtype)])
@@ -81,12 +81,12 @@ class LaneBuilder(Vectors[Lanes]):
         self.known: list[dict[Any, Any]] = [{}]
         self._begun: list[Instruction] = []  # where the function begins
 
-    def named(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Lanes:
+    def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Lanes:
         return Lanes(self, kind, name, lanes, known)
 
     def at_entry(self, op: str, kind: str, *operands: Number, x: Any = "") -> Lanes:
         """Add an instruction at the start of the function, with a single number as its result."""
-        output = self.named(kind, self.name("e"))
+        output = self.named_number(kind, self.name("e"))
         self._begun.append(Instruction(op, output, operands, x, 0))
         return output
 
@@ -143,7 +143,7 @@ class LaneBuilder(Vectors[Lanes]):
         """Call a function of the module that returns a number."""
         return self.op("call", kind, *arguments, x=f"@{name}", lanes=lanes)
 
-    def meaning(self, function: Any, *inputs: Any) -> Any:
+    def apply_function(self, function: Any, *inputs: Any) -> Any:
         """What a NumPy function does to lanes."""
         return _OF_NUMPY[function](self, *inputs) if function in _OF_NUMPY else NotImplemented
 
@@ -151,13 +151,13 @@ class LaneBuilder(Vectors[Lanes]):
 
     def constant(self, value: Any, kind: str, lanes: int = WIDTH) -> Lanes:
         text = literal(value, kind)
-        return self.named(kind, text if lanes == 1 else f"splat ({kind} {text})", lanes, value)
+        return self.named_number(kind, text if lanes == 1 else f"splat ({kind} {text})", lanes, value)
 
     def iota(self) -> Lanes:
         """The number of each lane."""
-        return self.named(I64, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", WIDTH)
+        return self.named_number(I64, f"<{', '.join(f'i64 {k}' for k in range(WIDTH))}>", WIDTH)
 
-    def _number(self, value: Any, like: Lanes) -> Lanes:
+    def _as_operand(self, value: Any, like: Lanes) -> Lanes:
         """A value for an operation with another one: numbers of Python take its kind, as in NumPy."""
         if isinstance(value, Lanes):
             return value
@@ -168,9 +168,9 @@ class LaneBuilder(Vectors[Lanes]):
             kind = F64
         return self.constant(value, kind, like.lanes)
 
-    def paired(self, a: Any, b: Any) -> tuple[Lanes, Lanes]:
+    def match_kinds(self, a: Any, b: Any) -> tuple[Lanes, Lanes]:
         """Convert two values to the kind of NumPy's result for both; both are wide if one is."""
-        left, right = (a, self._number(b, a)) if isinstance(a, Lanes) else (self._number(a, b), b)
+        left, right = (a, self._as_operand(b, a)) if isinstance(a, Lanes) else (self._as_operand(a, b), b)
         if left.lanes != right.lanes:
             left, right = self.widened(left), self.widened(right)
         if left.kind == right.kind:
@@ -186,16 +186,16 @@ class LaneBuilder(Vectors[Lanes]):
 
     def binary(self, word: str, a: Any, b: Any) -> Lanes:
         """An operation or a comparison of two values, by its name in `OPS` without the letter for the kind."""
-        left, right = self.paired(a, b)
+        left, right = self.match_kinds(a, b)
         row = f"f{word}" if left.kind in FLOATS else _COMPARED.get(word, word)
         return self.op(row, BOOL if word in _COMPARED else left.kind, left, right)
 
-    def between(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
+    def clamp(self, value: Lanes, low: Lanes, high: Lanes) -> Lanes:
         """A value cut to bounds that are numbers."""
         above = self.where(value > low, value, low)
         return self.where(above < high, above, high)
 
-    def unordered(self, a: Lanes) -> Lanes:
+    def is_nan(self, a: Lanes) -> Lanes:
         """Where a value is NaN."""
         return self.op("fno", BOOL, a, a)
 
@@ -204,7 +204,7 @@ class LaneBuilder(Vectors[Lanes]):
             # as NumPy does for two numbers of Python
             kind = F64 if isinstance(then, float) or isinstance(other, float) else I64
             then = self.constant(then, kind, condition.lanes)
-        a, b = self.paired(then, other)
+        a, b = self.match_kinds(then, other)
         if condition.wide or a.wide:
             condition, a, b = self.widened(condition), self.widened(a), self.widened(b)
         return self.op("select", a.kind, condition, a, b)
@@ -250,7 +250,7 @@ class LaneBuilder(Vectors[Lanes]):
         """The same as i64."""
         return self.op("zext", I64, self.mask_bits(mask))
 
-    def of_bits(self, bits: Lanes) -> Lanes:
+    def from_bits(self, bits: Lanes) -> Lanes:
         """A condition from the bits of one i8."""
         return self.op("mask", BOOL, bits, lanes=WIDTH)
 
@@ -258,7 +258,7 @@ class LaneBuilder(Vectors[Lanes]):
         """Whether a bit of a single i64 is 1."""
         return self.op("trunc", BOOL, word >> lane)
 
-    def greatest(self, value: Lanes) -> Lanes:
+    def lane_maximum(self, value: Lanes) -> Lanes:
         """The greatest of eight whole numbers."""
         return self.op("reduce.smax", value.kind, value, lanes=1)
 
@@ -297,7 +297,7 @@ class LaneBuilder(Vectors[Lanes]):
         """Return a condition as a byte, any other value unchanged."""
         return self.convert(value, I8) if value.kind == BOOL else value
 
-    def fetch(self, place: Number) -> None:
+    def prefetch(self, place: Number) -> None:
         """Prefetch the memory at an address. Any address is allowed."""
         self.do("prefetch", place)
 
@@ -310,40 +310,40 @@ class LaneBuilder(Vectors[Lanes]):
         gather instruction of many processors."""
         stored = I8 if kind == BOOL else kind
         each = (self.read_one(base, self.convert(self.one(index, lane), I64), stored) for lane in range(WIDTH))
-        return self.convert(self.together(each), kind)
+        return self.convert(self.combine_lanes(each), kind)
 
 
 def elementwise(module: Module, name: str, kinds: tuple[str, ...], formula: Callable[..., Any]) -> str:
     """Add a function of lanes that computes a NumPy formula, unless it exists; return its name."""
     if name not in module.functions:
         e = LaneBuilder(module)
-        inputs = [e.named(kind, f"%x{k}", WIDTH) for k, kind in enumerate(kinds)]
+        inputs = [e.named_number(kind, f"%x{k}", WIDTH) for k, kind in enumerate(kinds)]
         e.end(name, inputs, formula(*inputs), attribute="noinline")
     return name
 
 
 def _minimum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """The lesser; NaN where one is."""
-    left, right = e.paired(a, b)
+    left, right = e.match_kinds(a, b)
     output = e.where(left > right, right, left)
-    return output if right.known is not None else e.where(e.unordered(right), right, output)
+    return output if right.known is not None else e.where(e.is_nan(right), right, output)
 
 
 def _maximum(e: LaneBuilder, a: Any, b: Any) -> Lanes:
-    left, right = e.paired(a, b)
+    left, right = e.match_kinds(a, b)
     output = e.where(left < right, right, left)
-    return output if right.known is not None else e.where(e.unordered(right), right, output)
+    return output if right.known is not None else e.where(e.is_nan(right), right, output)
 
 
 def _fmin(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """The lesser; the other one where one is NaN."""
-    left, right = e.paired(a, b)
-    return e.where(e.unordered(right), left, e.where(left < right, left, right))
+    left, right = e.match_kinds(a, b)
+    return e.where(e.is_nan(right), left, e.where(left < right, left, right))
 
 
 def _fmax(e: LaneBuilder, a: Any, b: Any) -> Lanes:
-    left, right = e.paired(a, b)
-    return e.where(e.unordered(right), left, e.where(left > right, left, right))
+    left, right = e.match_kinds(a, b)
+    return e.where(e.is_nan(right), left, e.where(left > right, left, right))
 
 
 def _frexp(e: LaneBuilder, a: Lanes) -> tuple[Lanes, Lanes]:
@@ -360,7 +360,7 @@ def _ldexp(e: LaneBuilder, a: Lanes, power: Lanes) -> Lanes:
 
 def _fmod(e: LaneBuilder, a: Any, b: Any) -> Lanes:
     """Return the exact remainder, with the sign of a. Most values are less than b already; others are computed lane by lane."""
-    left, right = e.paired(a, b)
+    left, right = e.match_kinds(a, b)
     result = e.slot(left.kind, WIDTH)
     e.put(result, left)
     with e.inside(e.any_lane(~(_unary("fabs")(e, left) < _unary("fabs")(e, right)))):

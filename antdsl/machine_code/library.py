@@ -21,13 +21,13 @@ _DECORATED: Final = re.compile(rb"^@(kernel|library_text)\b", re.MULTILINE)
 
 
 class Entry(Protocol):
-    """A kernel or a text. `named` stands for its text in keys. Both may depend on the target; a text is empty for a processor
+    """A kernel or a text. `text_key` stands for its text in keys. Both may depend on the target; a text is empty for a processor
     that cannot run it."""
 
     __module__: str
     __name__: str
 
-    def named(self, target: machine.Target) -> str: ...
+    def text_key(self, target: machine.Target) -> str: ...
 
     def text(self, target: machine.Target) -> str: ...
 
@@ -69,7 +69,7 @@ class LibraryText:
     def __call__(self, target: machine.Target) -> str:
         return self._write(target)
 
-    text = named = __call__
+    text = text_key = __call__
 
     def code(self) -> machine.Code:
         """Its functions, ready to run on this processor."""

@@ -84,7 +84,7 @@ def unavailable() -> str:
     return ""
 
 
-def available() -> bool:
+def is_available() -> bool:
     """Whether code can be made here."""
     return not unavailable()
 
@@ -100,10 +100,10 @@ def host() -> Target:
     """This machine."""
     llvm = _llvm()
     features: Mapping[str, bool] = llvm.get_host_cpu_features()
-    return Target(llvm.get_default_triple(), llvm.get_host_cpu_name(), named(features))
+    return Target(llvm.get_default_triple(), llvm.get_host_cpu_name(), format_features(features))
 
 
-def named(features: Mapping[str, bool]) -> str:
+def format_features(features: Mapping[str, bool]) -> str:
     """Return a processor's features in LLVM's form, without those that could fuse instructions, except with 512-bit registers.
 
     Disabled features come last: one feature may imply another (`xop` implies `fma4`), and later entries override earlier ones."""
@@ -115,7 +115,7 @@ def named(features: Mapping[str, bool]) -> str:
 def object_code(text: str, target: Target) -> bytes:
     """Compile a text to an object file. Raises RuntimeError for an invalid text, which is a mistake of ours."""
     with _LOCK:
-        machine, module = _passed(text + _WRITTEN, target)
+        machine, module = _optimised_module(text + _WRITTEN, target)
         code: bytes = machine.emit_object(module)
         return code
 
@@ -123,15 +123,15 @@ def object_code(text: str, target: Target) -> bytes:
 def assembly(text: str, target: Target) -> str:
     """Compile a text to assembly."""
     with _LOCK:
-        machine, module = _passed(text, target)
+        machine, module = _optimised_module(text, target)
         assembly_text: str = machine.emit_assembly(module)
         return assembly_text
 
 
-def _passed(text: str, target: Target) -> tuple[Any, Any]:
+def _optimised_module(text: str, target: Target) -> tuple[Any, Any]:
     """Return the code generator, and the functions of a text after the passes."""
     llvm = _llvm()
-    machine = _machine(target)
+    machine = _target_machine(target)
     module = llvm.parse_assembly(text)
     module.triple, module.data_layout = target.triple, str(machine.target_data)
     module.verify()
@@ -152,7 +152,7 @@ def _passed(text: str, target: Target) -> tuple[Any, Any]:
     return machine, module
 
 
-def _machine(target: Target) -> Any:
+def _target_machine(target: Target) -> Any:
     llvm = _llvm()
     if target.triple != llvm.get_default_triple():
         llvm.initialize_all_targets()
@@ -184,9 +184,9 @@ class Code:
 
     def read_text(self, name: str) -> str:
         """The text of a constant."""
-        return ctypes.string_at(self.constant(name)).decode("utf-8", "surrogateescape")
+        return ctypes.string_at(self.constant_address(name)).decode("utf-8", "surrogateescape")
 
-    def constant(self, name: str) -> int:
+    def constant_address(self, name: str) -> int:
         """Return the address of a constant, or of another symbol that is not a function."""
         location: int = self._engine.get_global_value_address(name)
         return location

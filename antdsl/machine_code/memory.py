@@ -15,7 +15,7 @@ _of_buffer: Callable[[Any], Any] = ctypes.c_char.from_buffer
 _place_of = ctypes.addressof
 
 
-def roomy(array: NDArray[Any]) -> NDArray[Any]:
+def padded_copy(array: NDArray[Any]) -> NDArray[Any]:
     """Return a copy followed by eight spare rows of zeros."""
     padded = np.zeros((len(array) + WIDTH, *array.shape[1:]), array.dtype)
     padded[: len(array)] = array
@@ -23,14 +23,14 @@ def roomy(array: NDArray[Any]) -> NDArray[Any]:
     return view
 
 
-def roomy_rows(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+def padded_rows(array: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
     """Return the selected numbers of an array [n], followed by eight spare zeros."""
-    output = roomy_space(len(rows), array.dtype)
+    output = padded_empty(len(rows), array.dtype)
     array.take(rows, out=output, mode="clip")
     return output
 
 
-def roomy_space(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+def padded_empty(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
     """Return an uninitialised array [count], followed by eight spare zeros."""
     padded = np.empty(count + WIDTH, dtype)
     padded[count:] = 0
@@ -38,7 +38,7 @@ def roomy_space(count: int, dtype: np.dtype[Any]) -> NDArray[Any]:
     return view
 
 
-def has_room(array: NDArray[Any]) -> bool:
+def has_padding(array: NDArray[Any]) -> bool:
     """Return whether an array is the start of one with eight more rows."""
     padded = array.base
     if not isinstance(padded, np.ndarray) or padded.ndim != 1 or padded.dtype != array.dtype or not array.flags.c_contiguous:

@@ -41,7 +41,7 @@ IR_VERSION: Final = "3"  # of texts: another number where one means something el
 ABI_VERSION: Final = "1"  # of calls: another number where code finds its arguments, or what it calls, in another place
 
 
-class Kind(NamedTuple):
+class StoreKind(NamedTuple):
     """Kind of a cache: its folder in that of antdsl, the environment variable that overrides it, the suffix of its files, and
     words for messages."""
 
@@ -56,7 +56,7 @@ class Kind(NamedTuple):
     fallback: str  # what is done where a file is not used
 
 
-CODE: Final = Kind(
+CODE: Final = StoreKind(
     "native",
     VARIABLE,
     ".object",
@@ -116,7 +116,7 @@ class ObjectCache:
     removed first. `largest`: bytes of one result. `messages`: sentences for the user on why something is not stored or was not
     used, each once."""
 
-    def __init__(self, folder: Path | None = None, *, kind: Kind = CODE, cap: int = CAP, largest: int | None = None) -> None:
+    def __init__(self, folder: Path | None = None, *, kind: StoreKind = CODE, cap: int = CAP, largest: int | None = None) -> None:
         self.messages: list[str] = []
         self._kind = kind
         self._largest = _LARGEST if largest is None else largest
@@ -131,7 +131,7 @@ class ObjectCache:
             try:
                 self._folder = cache_folder() / "antdsl" / kind.folder
             except OSError as problem:
-                self._report(f"{kind.name} {kind.verb} not stored: {_words(problem)}; {kind.again}")
+                self._report(f"{kind.name} {kind.verb} not stored: {_describe_problem(problem)}; {kind.again}")
         if self._folder is not None and not self._folder.is_absolute():
             self._report_not_stored(
                 self._folder, "the path does not begin at the root", f"write an absolute path in {kind.variable}"
@@ -162,7 +162,7 @@ class ObjectCache:
     def prepare(self) -> None:
         """Create the user's key and the folder, so that `messages` reports obstacles."""
         if self._signer_of(create=True) is not None and self._folder is not None:
-            self._make(self._folder)
+            self._make_folder(self._folder)
 
     def _signer_of(self, *, create: bool) -> signing.Signer | None:
         """Return the user's signer, read once. Where there can be none, the folder is not tried again."""
@@ -171,7 +171,7 @@ class ObjectCache:
             try:
                 self._signer = signing.signer(create=create)
             except OSError as problem:
-                what = f"{self._kind.used}, and there is none ({_words(problem)})"
+                what = f"{self._kind.used}, and there is none ({_describe_problem(problem)})"
                 self._report_not_stored(folder, what, self._kind.again)
                 self._folder = None
         return self._signer
@@ -188,7 +188,7 @@ class ObjectCache:
             return None
         except OSError as problem:
             if os.path.lexists(path):  # or else it is the folder that cannot be read, which `put` reports
-                self._refuse(path, _words(problem))
+                self._refuse(path, _describe_problem(problem))
             return None
         signature, code = data[: signing.SIGNATURE_BYTES], data[signing.SIGNATURE_BYTES :]
         if not signer.is_signed(key, code, signature):
@@ -203,22 +203,22 @@ class ObjectCache:
             self._report_not_stored(folder, f"{len(code):,} bytes of {self._kind.unit} are too many", self._kind.again)
             return False
         name = signer.name(key) + self._kind.ending
-        if not self._make(folder):
+        if not self._make_folder(folder):
             return False
         try:
             write_atomically(folder / name, data, sync=False)
-            _make_room(folder, self._cap, name)
+            _remove_oldest(folder, self._cap, name)
         except (OSError, ValueError) as problem:
-            self._report_not_stored(folder, _words(problem), self._advice(problem))
+            self._report_not_stored(folder, _describe_problem(problem), self._advice(problem))
             return False
         return True
 
-    def _make(self, folder: Path) -> bool:
+    def _make_folder(self, folder: Path) -> bool:
         """Create the folder if necessary and return whether it exists; a failure is reported."""
         try:
             os.makedirs(folder, 0o700, exist_ok=True)
         except (OSError, ValueError) as problem:
-            self._report_not_stored(folder, _words(problem), self._advice(problem))
+            self._report_not_stored(folder, _describe_problem(problem), self._advice(problem))
             return False
         return True
 
@@ -242,7 +242,7 @@ class ObjectCache:
                 self.messages.append(sentence)
 
 
-def _make_room(folder: Path, cap: int, keep: str) -> None:
+def _remove_oldest(folder: Path, cap: int, keep: str) -> None:
     """Remove the least recently used files until at most `cap` bytes are left, and leftovers of killed runs.
 
     Files with other names stay. Files that another run removes meanwhile, or that belong to another user of a shared folder, are
@@ -275,7 +275,7 @@ def _require_key(key: str) -> None:
         raise ValueError(f"{key!r} is not 64 hexadecimal digits")
 
 
-def _words(problem: OSError | ValueError) -> str:
+def _describe_problem(problem: OSError | ValueError) -> str:
     if isinstance(problem, NotRegular):
         return f"it is {problem.kind}"
     if isinstance(problem, OSError):

@@ -52,15 +52,15 @@ def target_name(host: Target) -> str | None:
     none."""
     if "linux" not in host.triple:
         return None
-    present = _present(host)
+    present = _present_features(host)
     for name, target in TARGETS.items():
-        levels = target.x86 and host.x86 and _present(target) <= present
+        levels = target.x86 and host.x86 and _present_features(target) <= present
         if levels or (target.arm and host.arm):
             return name
     return None
 
 
-def _present(target: Target) -> set[str]:
+def _present_features(target: Target) -> set[str]:
     return {word[1:] for word in target.features.split(",") if word.startswith("+")}
 
 
@@ -69,10 +69,10 @@ def key(named: str, target: Target) -> str:
     return object_cache.key(named, target, versions=object_cache.code_versions())
 
 
-def find(named: str, host: Target) -> bytes | None:
+def find_object(named: str, host: Target) -> bytes | None:
     """Return the object file for a text, or for its name, on this processor; None where the installation has none."""
     name = target_name(host)
-    return None if name is None else _opened(FOLDER, name).get(key(named, TARGETS[name]))
+    return None if name is None else _open_objects(FOLDER, name).get(key(named, TARGETS[name]))
 
 
 def file_of(folder: Path, name: str) -> Path:
@@ -89,11 +89,11 @@ def forget() -> None:
     """Close the files, so that they are opened again when needed."""
     global _damaged
     _damaged = None
-    _opened.cache_clear()
+    _open_objects.cache_clear()
 
 
 @cache
-def _opened(folder: Path, name: str) -> Objects:
+def _open_objects(folder: Path, name: str) -> Objects:
     return Objects(file_of(folder, name))
 
 
@@ -142,7 +142,7 @@ class Objects:
         return code
 
 
-def packed(codes: Mapping[str, bytes]) -> bytes:
+def pack_objects(codes: Mapping[str, bytes]) -> bytes:
     """The content of a file with these object files, by key. It depends on nothing else."""
     index, position = [], 0
     for key, code in sorted(codes.items()):

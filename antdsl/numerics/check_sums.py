@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code import machine
-from antdsl.machine_code.entries import entry
-from antdsl.machine_code.kernels.direct import ArgumentSpec, direct
+from antdsl.machine_code.entries import inner_text
+from antdsl.machine_code.kernels.direct import ArgumentSpec, make_builtin
 from antdsl.machine_code.kernels.direct_text import INTEGER, RESULTS
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
@@ -50,10 +50,10 @@ def crc32(data: bytes | memoryview, previous_crc: int = 0) -> int:
 def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
     """Return a function that continues a CRC-32 over an array [n] of at least one stride. None where the processor has no
     carry-less products, or nothing can be compiled."""
-    if not machine.available():
+    if not machine.is_available():
         return None
     target = machine.host()
-    if not has_products(target):
+    if not has_carryless_products(target):
         return None
     code = text.code()
     function = code.function("fold")  # what is called lies in `code`
@@ -65,20 +65,20 @@ def _fold() -> Callable[[NDArray[np.uint8], int], int] | None:
 
     fold.code = code  # type: ignore[attr-defined]
     parameters = [ArgumentSpec((0,), _DATA, dtype=_BYTE, axes=1), ArgumentSpec((1,), _PREVIOUS_CRC, INTEGER)]
-    return direct("fold", code, parameters, _PREVIOUS_CRC + 1, [INTEGER], fold) or fold
+    return make_builtin("fold", code, parameters, _PREVIOUS_CRC + 1, [INTEGER], fold) or fold
 
 
-def has_products(target: machine.Target) -> bool:
+def has_carryless_products(target: machine.Target) -> bool:
     """Return whether a processor has carry-less products."""
     return target.x86 and _FEATURE in target.features.split(",")
 
 
-def blocks(target: machine.Target) -> int:
+def blocks_per_register(target: machine.Target) -> int:
     """Return the number of blocks in a register that are multiplied at once."""
     return 4 if set(_WIDE) <= set(target.features.split(",")) else 1
 
 
-def _power(bits: int) -> int:
+def _power_remainder(bits: int) -> int:
     """Return the remainder of x**bits by the polynomial, in the form for multiplication: bits in the order of the bytes, shifted
     by one."""
     remainder = 1
@@ -105,9 +105,9 @@ def text(target: machine.Target) -> str:
 
     The function stores the combined CRC-32 in the first word of the table. The text is empty where the processor has no
     carry-less products."""
-    if not has_products(target):
+    if not has_carryless_products(target):
         return ""
-    module, many = Module(target), blocks(target)
+    module, many = Module(target), blocks_per_register(target)
     kinds = {count: (f"<{2 * count} x i64>", "" if count == 1 else f".{128 * count}") for count in {1, many}}
     for kind, ending in kinds.values():
         module.declare(f"llvm.x86.pclmulqdq{ending}", kind, [kind, kind, "i8"])
@@ -127,7 +127,7 @@ def text(target: machine.Target) -> str:
     def moved(remainder: str, bits: int, onto: str, count: int) -> str:
         """Return the state in `count` blocks, advanced by `bits`, combined with the data `onto`."""
         kind, ending = kinds[count]
-        by = f"{kind} <" + ", ".join([f"i64 {_power(bits + 32)}, i64 {_power(bits - 32)}"] * count) + ">"
+        by = f"{kind} <" + ", ".join([f"i64 {_power_remainder(bits + 32)}, i64 {_power_remainder(bits - 32)}"] * count) + ">"
         call = f"call {kind} @llvm.x86.pclmulqdq{ending}({kind} {remainder}, {by}, i8"
         low, high = (put(f"{call} {which})") for which in (0x00, 0x11))
         return put(f"xor {kind} {put(f'xor {kind} {low}, {high}')}, {onto}")
@@ -194,4 +194,4 @@ def text(target: machine.Target) -> str:
     state = put(f"xor i32 {state}, -1")
     lines.append(f"  store i64 {put(f'zext i32 {state} to i64')}, ptr %t, align 8")
     body = "  br label %inside\ninside:\n" + "\n".join(lines)
-    return module.text() + "\n" + _table() + "\n" + entry(module, "fold", body) + "\n"
+    return module.text() + "\n" + _table() + "\n" + inner_text(module, "fold", body) + "\n"

@@ -53,7 +53,7 @@ def _quarter_turns(x: Value) -> tuple[Value, Value]:
     return rest, turns - np.floor(turns * 0.25) * 4.0
 
 
-def _waves(x: Value) -> tuple[Value, Value, Value]:
+def _sine_cosine(x: Value) -> tuple[Value, Value, Value]:
     """Return the sine and cosine of the reduced angle, and its quarter turns."""
     rest, quarter = _quarter_turns(x)
     square = rest * rest
@@ -63,7 +63,7 @@ def _waves(x: Value) -> tuple[Value, Value, Value]:
 def sin(x: Value) -> Value:
     """Sine; NaN where the angle is not finite. Angles above 1e6 are reduced by 2 pi as float64 holds it."""
     if np.ndim(x) == 0:
-        return _alone(wide_sin, np.float64(x).tobytes())
+        return _single_value(wide_sin, np.float64(x).tobytes())
     values = _by_kernel("sines", x)
     return _narrow(wide_sin(x)) if values is None else values
 
@@ -71,21 +71,21 @@ def sin(x: Value) -> Value:
 def cos(x: Value) -> Value:
     """Cosine; as `sin`."""
     if np.ndim(x) == 0:
-        return _alone(wide_cos, np.float64(x).tobytes())
+        return _single_value(wide_cos, np.float64(x).tobytes())
     values = _by_kernel("cosines", x)
     return _narrow(wide_cos(x)) if values is None else values
 
 
 def wide_sin(x: Value) -> Value:
     """Sine as float64, to about 1e-13."""
-    sine, cosine, quarter = _waves(x)
+    sine, cosine, quarter = _sine_cosine(x)
     value: Value = np.where((quarter == 1.0) | (quarter == 3.0), cosine, sine)
     return np.where(quarter >= 2.0, -value, value)
 
 
 def wide_cos(x: Value) -> Value:
     """Cosine as float64, to about 1e-13."""
-    sine, cosine, quarter = _waves(x)
+    sine, cosine, quarter = _sine_cosine(x)
     value: Value = np.where((quarter == 1.0) | (quarter == 3.0), sine, cosine)
     return np.where((quarter == 1.0) | (quarter == 2.0), -value, value)
 
@@ -114,7 +114,7 @@ def _log_wide(wide: Value) -> Value:
 def exp(x: Value) -> Value:
     """e to the x."""
     if np.ndim(x) == 0:
-        return _alone(_exp_wide, np.float64(x).tobytes())
+        return _single_value(_exp_wide, np.float64(x).tobytes())
     values = _by_kernel("exponentials", x)
     return _narrow(_exp_wide(_widen(x))) if values is None else values
 
@@ -165,7 +165,7 @@ def _narrow(x: Value) -> Value:
 
 
 @lru_cache(1024)
-def _alone(wide: Callable[[Value], Value], number: bytes) -> Value:
+def _single_value(wide: Callable[[Value], Value], number: bytes) -> Value:
     """Return the cached value of a function of one float64. The key is the bytes of the number, to distinguish -0: most numbers
     are the same in every step."""
     return _narrow(wide(np.frombuffer(number)[0]))
@@ -177,4 +177,4 @@ def _by_kernel(loop: str, *values: Value) -> Value | None:
     if not all(isinstance(v, np.ndarray) and v.dtype == np.float32 and v.ndim == 1 and v.size == one.size for v in values):
         return None
     output = np.empty(one.size, np.float32)
-    return output if getattr(elementary_loops, loop)(*parallel.plain(*values), output) else None
+    return output if getattr(elementary_loops, loop)(*parallel.contiguous(*values), output) else None

@@ -69,7 +69,7 @@ def atan2(y: F32, x: F32) -> F32:
 
 
 @inlined
-def _usual(x: Array1[F32], least: F64, most: F64) -> BOOL:
+def _all_between(x: Array1[F32], least: F64, most: F64) -> BOOL:
     """Whether all numbers lie between two others."""
     usual = True
     for k in range(x.size):
@@ -80,7 +80,7 @@ def _usual(x: Array1[F32], least: F64, most: F64) -> BOOL:
 @kernel
 def sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Writes `elementary.sin` of all; False where an angle is not below 1e6."""
-    if not _usual(x, -FAR, FAR):
+    if not _all_between(x, -FAR, FAR):
         return False
     for k in independent(0, x.size):
         output[k] = cos_sin(x[k])[1]
@@ -90,7 +90,7 @@ def sines(x: Array1[F32], output: Array1[F32]) -> BOOL:
 @kernel
 def cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Writes `elementary.cos` of all; False where an angle is not below 1e6."""
-    if not _usual(x, -FAR, FAR):
+    if not _all_between(x, -FAR, FAR):
         return False
     for k in independent(0, x.size):
         output[k] = cos_sin(x[k])[0]
@@ -100,7 +100,7 @@ def cosines(x: Array1[F32], output: Array1[F32]) -> BOOL:
 @kernel
 def angles(y: Array1[F32], x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Write `kernels.atan2` of all numbers; return False where one is not finite."""
-    if not (_usual(y, -np.inf, np.inf) and _usual(x, -np.inf, np.inf)):
+    if not (_all_between(y, -np.inf, np.inf) and _all_between(x, -np.inf, np.inf)):
         return False
     for k in independent(0, x.size):
         output[k] = atan2(y[k], x[k])
@@ -124,7 +124,7 @@ def exponentials(x: Array1[F32], output: Array1[F32]) -> BOOL:
 @kernel
 def logarithms(x: Array1[F32], output: Array1[F32]) -> BOOL:
     """Writes `elementary.log` of all; False where one is not above 0, or not finite."""
-    if not _usual(x, 0.0, np.inf):
+    if not _all_between(x, 0.0, np.inf):
         return False
     for k in independent(0, x.size):
         bits = as_bits(np.float64(x[k]))  # of a float32 above 0: as float64 none has a fraction alone

@@ -15,7 +15,7 @@ _EXACT = 53  # digits of float64: sums stay exact below 2**(quantum + 53)
 HALF = 22  # digits of the lower of two words, for sums that might not: both hold more terms than memory does
 
 
-def rounded(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
+def quantise(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
     """Terms as float64 multiples of 2**quantum, cut to +-2**(quantum + 44); NaN stays NaN."""
     bound = np.ldexp(1.0, quantum + BOUND)
     magic = np.ldexp(1.5, quantum + 52)
@@ -25,11 +25,11 @@ def rounded(terms: NDArray[np.float32], quantum: int) -> NDArray[np.float64]:
     return wide
 
 
-def sums(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], quantum: int, length: int) -> NDArray[np.float32]:
+def sum_by_index(index: NDArray[np.integer[Any]], terms: NDArray[np.float32], quantum: int, length: int) -> NDArray[np.float32]:
     """Sum of the terms of each index 0 .. length-1, exact and then rounded to float64 and float32."""
     if index.size == 0:
         return np.zeros(length, np.float32)
-    wide = rounded(terms, quantum)
+    wide = quantise(terms, quantum)
     largest = max(float(wide.max()), -float(wide.min()))
     if not largest * index.size <= np.ldexp(1.0, quantum + _EXACT):  # NaN too
         return _sums_in_two_words(index, wide, quantum, length)

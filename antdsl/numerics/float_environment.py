@@ -1,5 +1,5 @@
 """The floating-point environment of a thread: a host may change the rounding from nearest, or flush denormal numbers to zero. A
-thread inherits this from the thread that starts it. Results that are computed within `standard` do not depend on it."""
+thread inherits this from the thread that starts it. Results that are computed within `standard_floats` do not depend on it."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ def is_standard() -> bool:
     return _LEAST * _HALF != 0.0 and _ONE + _ULP == 1.0 and _ONE + (_ULP + _ULP * _HALF) != 1.0
 
 
-def be_standard() -> None:
+def set_standard() -> None:
     """Set the standard float environment for this thread, permanently: for threads that we own. Without support in the C library,
     nothing changes."""
     if not is_standard() and (library := _library()) is not None:
-        library.fesetenv(_usual())
+        library.fesetenv(_default_environment())
 
 
 @contextmanager
-def standard() -> Iterator[None]:
+def standard_floats() -> Iterator[None]:
     """Use the standard float environment within the context, and restore the old one afterwards. This costs about a microsecond
     where nothing has to change."""
     library = None if is_standard() else _library()
@@ -35,7 +35,7 @@ def standard() -> Iterator[None]:
         return
     saved_environment = ctypes.create_string_buffer(_ENVIRONMENT_SIZE)
     library.fegetenv(saved_environment)
-    library.fesetenv(_usual())
+    library.fesetenv(_default_environment())
     try:
         yield
     finally:
@@ -54,7 +54,7 @@ def _library() -> Any:
 
 
 @cache
-def _usual() -> ctypes.c_void_p:
+def _default_environment() -> ctypes.c_void_p:
     """FE_DFL_ENV: the address of an object of that name, or a number where there is none."""
     try:
         return ctypes.c_void_p(ctypes.addressof(ctypes.c_char.in_dll(ctypes.CDLL(None), "_FE_DFL_ENV")))

@@ -28,27 +28,27 @@ def cores() -> int:
         own = OWN.read_text(encoding="utf-8", errors="surrogateescape")
     except OSError:
         return available
-    return max(1, min([available, *map(math.ceil, allowed(own, GROUPS))]))
+    return max(1, min([available, *map(math.ceil, core_limits(own, GROUPS))]))
 
 
-def allowed(own: str, groups: Path) -> Iterator[float]:
+def core_limits(own: str, groups: Path) -> Iterator[float]:
     """Yield the core limits of a process's control groups, its own and the enclosing ones, where they have one.
 
     `own`: Linux's list of the process's groups, one line `number:controllers:path` each; `groups`: the folder of all groups
     (Linux kernel documentation, Control Group v2, `cpu.max`; CFS Bandwidth Control, for version 1)."""
     for folder, is_first in group_folders(own, groups, "cpu"):
         with suppress(OSError, ValueError):
-            quota, period = _first(folder) if is_first else _second(folder)
+            quota, period = _quota_v1(folder) if is_first else _quota_v2(folder)
             if quota > 0 and period > 0:
                 yield quota / period
 
 
-def _first(folder: Path) -> tuple[int, int]:
+def _quota_v1(folder: Path) -> tuple[int, int]:
     quota, period = (int((folder / f"cpu.cfs_{name}_us").read_text()) for name in ("quota", "period"))
     return quota, period  # a quota of -1 is none
 
 
-def _second(folder: Path) -> tuple[int, int]:
+def _quota_v2(folder: Path) -> tuple[int, int]:
     quota, period = (folder / "cpu.max").read_text().split()  # a quota of `max` is none
     return int(quota), int(period)
 
@@ -86,21 +86,21 @@ def available_memory() -> int | None:
         lines = _SYSTEM.read_text(encoding="ascii", errors="replace").splitlines()
         limits.append(next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable:")))
     with suppress(OSError):
-        limits += left(OWN.read_text(encoding="utf-8", errors="surrogateescape"), GROUPS)
+        limits += memory_left(OWN.read_text(encoding="utf-8", errors="surrogateescape"), GROUPS)
     return min(limits, default=None)
 
 
-def left(own: str, groups: Path) -> Iterator[int]:
+def memory_left(own: str, groups: Path) -> Iterator[int]:
     """Yield the bytes left in each control group with a limit; `own` and `groups` as in `group_folders`. Cached files count as
     free, since the system drops them when necessary."""
     for folder, is_first in group_folders(own, groups, "memory"):
         names = ("memory.limit_in_bytes", "memory.usage_in_bytes") if is_first else ("memory.max", "memory.current")
         with suppress(OSError, ValueError):  # a limit of `max` is none
             most, used = (int((folder / name).read_text()) for name in names)
-            yield max(0, most - used + _files(folder))
+            yield max(0, most - used + _reclaimable_bytes(folder))
 
 
-def _files(folder: Path) -> int:
+def _reclaimable_bytes(folder: Path) -> int:
     words = dict(line.split() for line in (folder / "memory.stat").read_text().splitlines())
     return sum(int(words.get(name, 0)) for name in ("active_file", "inactive_file"))
 
@@ -137,7 +137,7 @@ def _kilobytes(path: Path) -> dict[str, int]:
 
 
 @cache
-def processor() -> str:
+def processor_name() -> str:
     """The processor's name as the system tells it."""
     import platform  # it imports much, and commands that need no name start without it
 

@@ -40,7 +40,7 @@ def of(vectors: Any, i: I64) -> Vec3:
 
 
 @inlined
-def put(vectors: Any, i: I64, v: Vec3) -> None:
+def put_vector(vectors: Any, i: I64, v: Vec3) -> None:
     """Write one of vectors (3, n)."""
     vectors[0, i], vectors[1, i], vectors[2, i] = v
 
@@ -77,7 +77,7 @@ def flat(a: AnyVec3, up: AnyVec3) -> AnyVec3:
 
 
 @inlined
-def across(up: Vec3) -> Vec3:
+def any_perpendicular(up: Vec3) -> Vec3:
     """As `vectors.across`, in float64."""
     steep = abs(up[0]) > _STEEP
     side = flat(((0.0 if steep else 1.0), (1.0 if steep else 0.0), 0.0), up)
@@ -85,12 +85,12 @@ def across(up: Vec3) -> Vec3:
 
 
 @inlined
-def direction(v: Vec3, up: Vec3) -> Vec3:
+def unit_or_perpendicular(v: Vec3, up: Vec3) -> Vec3:
     """Return the unit vector along `v` in float64; one perpendicular to `up` where `v` has no direction."""
     size = np.sqrt(dot(v, v))
     if size > _LEAST and np.isfinite(size):
         return times(v, 1 / size)
-    return across(up)
+    return any_perpendicular(up)
 
 
 @inlined
@@ -106,7 +106,7 @@ def fmin(a: F64, b: F64) -> F64:
 
 
 @inlined
-def inside(b1: F64, b2: F64) -> Weights:
+def clamp_weights(b1: F64, b2: F64) -> Weights:
     """Return the nearest weights of a point in the triangle, to correct rounding."""
     b1, b2 = min(max(b1, 0.0), 1.0), min(max(b2, 0.0), 1.0)
     total = b1 + b2
@@ -128,7 +128,7 @@ def turned(v: Vec3, source: Vec3, target: Vec3, direction: Vec3) -> Vec3:
 
 
 @inlined
-def level(c: F64, s: F64) -> tuple[F64, F64]:
+def unit_or_first_axis(c: F64, s: F64) -> tuple[F64, F64]:
     """Return a direction in a face as a unit vector; along the first axis where its length is zero."""
     size = np.sqrt(c * c + s * s)
     if size > 1e-9:
@@ -137,7 +137,7 @@ def level(c: F64, s: F64) -> tuple[F64, F64]:
 
 
 @inlined
-def nearest(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
+def nearest_weights(edge1: Vec3, edge2: Vec3, v: Vec3) -> tuple[F64, F64, F64]:
     """Return the weights of the triangle's point nearest to `v` (relative to the first corner), and its distance: on the plane
     inside the triangle, else on an edge."""
     edge3 = minus(edge2, edge1)
@@ -180,6 +180,6 @@ def column64(vectors: Strided2[F64], i: I64) -> Vec3:
 
 
 @inlined
-def rotated(v: Vec3, axis: Vec3, c: F64, s: F64) -> Vec3:
+def rotate_about_axis(v: Vec3, axis: Vec3, c: F64, s: F64) -> Vec3:
     """Return a vector rotated about a unit axis, by the cosine and sine of the angle (O. Rodrigues, 1840)."""
     return plus(plus(times(v, c), times(cross(axis, v), s)), times(axis, dot(axis, v) * (1.0 - c)))

@@ -57,11 +57,11 @@ def _shift(seed: NDArray[np.int64]) -> NDArray[np.int64]:
 
 def pcg4d(words: Words) -> Words:
     """Four random words for each four (4, …)."""
-    mixed_words = _mixed(words * _A + _C)
-    return _mixed(mixed_words ^ (mixed_words >> _16))
+    mixed_words = _mix_words(words * _A + _C)
+    return _mix_words(mixed_words ^ (mixed_words >> _16))
 
 
-def _mixed(words: Words) -> Words:
+def _mix_words(words: Words) -> Words:
     x, y, z, w = words
     x = x + y * w
     y = y + z * x

@@ -18,7 +18,7 @@ PART = 1_024  # agents from which a thread pays
 LIGHT = 4_096  # the same, of work that is a few operations each
 
 
-def plain(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+def contiguous(*arrays: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     """Return the arrays as contiguous ones, which most kernels need."""
     return tuple(np.ascontiguousarray(a) for a in arrays)
 
@@ -45,7 +45,7 @@ def parts(count: int, threads: int, least: int = PART) -> int:
     return workers.parts(count, min(threads, count // max(1, least)))
 
 
-def joined(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
+def join_parts(parts: Sequence[tuple[int, ...]], *arrays: NDArray[Any]) -> list[NDArray[Any]]:
     """Return the written parts of arrays [.., n], joined. `parts` has for each part its start and the number of values it has
     written."""
     if len(parts) == 1:
@@ -69,7 +69,7 @@ def side_by_side(work: Callable[[int], object], threads: int) -> None:
     workers.side_by_side(work, threads)
 
 
-def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
+def call_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
     """Call a function of machine code in parallel with each row of `parts` [k,3]: address, begin, end."""
     threads = min(threads, cores())
     if threads < 2 or len(parts) < 2:
@@ -78,11 +78,11 @@ def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], 
         return
     from antdsl.numerics import workers
 
-    workers.listed(function, parts, threads)
+    workers.call_rows(function, parts, threads)
 
 
 @inlined
-def own(begin: I64, count: I64, rooms: I64) -> I64:
+def buffer_index(begin: I64, count: I64, rooms: I64) -> I64:
     """Return the buffer number of the part of `count` numbers (at least 1) that starts at `begin`, for `rooms` buffers as `parts`
     says. No two parts share a buffer."""
     return (begin * rooms + count - 1) // count

@@ -59,10 +59,10 @@ def words(seed: int, frame: int, species: str, site: str, block: int, ids: NDArr
     (c0, low, c3), key = counters(seed, frame, species, site, block)
     wide = ids.astype(np.uint64)
     first, last = (np.full(wide.shape, c, np.uint64) for c in (c0, c3))
-    return of_ids(wide, first, np.uint64(low), last, (np.uint64(key[0]), np.uint64(key[1])))
+    return words_of_ids(wide, first, np.uint64(low), last, (np.uint64(key[0]), np.uint64(key[1])))
 
 
-def of_ids(wide: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> Words:
+def words_of_ids(wide: Any, first: Any, low: Any, last: Any, key: tuple[Any, Any]) -> Words:
     """Four words for each id (uint64) of the counters' first, third and last word, and the key."""
     return philox((first, wide & LOW, (((wide >> HALF) * SPREAD) & LOW) ^ low, last), key)
 
@@ -85,15 +85,15 @@ def unit_floats(word: NDArray[np.uint64]) -> NDArray[np.float32]:
 
 def uniform(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
     """The draw number `index` of a site for each id: float32 in [0, 1). Four draws of a site share one run of the generator."""
-    return _drawn(uniforms, np.float32, counters(seed, frame, species, site, index >> 2), index, ids)
+    return _draw(uniforms, np.float32, counters(seed, frame, species, site, index >> 2), index, ids)
 
 
 def word(seed: int, frame: int, species: str, site: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.uint64]:
     """Return the word of `words` that `uniform` makes the same draw from."""
-    return _drawn(draw_words, np.uint64, counters(seed, frame, species, site, index >> 2), index, ids)
+    return _draw(draw_words, np.uint64, counters(seed, frame, species, site, index >> 2), index, ids)
 
 
-def _drawn(loop: Kernel, kind: type[np.generic], shared: Counters, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
+def _draw(loop: Kernel, kind: type[np.generic], shared: Counters, index: int, ids: NDArray[np.int64]) -> NDArray[Any]:
     """Draws of one for each id."""
     draws: NDArray[Any] = np.empty(ids.size, kind)
     loop(np.ascontiguousarray(ids.reshape(-1), np.int64), (*shared[0], *shared[1]), index & 3, draws)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code import machine
-from antdsl.machine_code.entries import entry
+from antdsl.machine_code.entries import inner_text
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
 from antdsl.machine_code.module import Module
@@ -40,16 +40,16 @@ class RowCopies:
             self._arrays, self._threads = arrays, threads
             self._table = _table([pair for pair in zip(to, of, strict=True) if pair[0] is not pair[1]], None)
             self._parts = _parts(self._table, len(arrays[0]), threads)
-        parallel.listed(_function(), self._parts, threads)
+        parallel.call_rows(_function(), self._parts, threads)
 
 
-def pick(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
+def copy_rows(pairs: Pairs, rows: NDArray[np.intp], threads: int) -> None:
     """Copy selected rows of contiguous arrays [n, ..] to arrays [k, ..] of the same type."""
     if not pairs:
         return
     rows = np.ascontiguousarray(rows)  # which lasts as long as its address is in use
     table = _table(pairs, rows)
-    parallel.listed(_function(), _parts(table, len(rows), threads), threads)
+    parallel.call_rows(_function(), _parts(table, len(rows), threads), threads)
 
 
 def _table(pairs: Pairs, rows: NDArray[np.intp] | None) -> NDArray[np.int64]:
@@ -82,7 +82,7 @@ def text(target: machine.Target) -> str:
     picking = "".join(_PICK.replace("$SIZE$", str(size)).replace("$BITS$", str(8 * size)) for size in _SIZES)
     body = _BODY.replace("$CASES$", cases).replace("$PICKING$", picking)
     body = body.replace("$HEAD$", str(_HEAD)).replace("$WORDS$", str(_WORDS))
-    return f"{module.text()}\ndeclare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)\n{entry(module, 'rows', body)}\n"
+    return f"{module.text()}\ndeclare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)\n{inner_text(module, 'rows', body)}\n"
 
 
 _BODY = """  %rows = load ptr, ptr %t

@@ -53,7 +53,7 @@ class RowHash:
         self._whole: list[NDArray[Any]] = []
         self._parts: list[NDArray[Any]] = []
 
-    def parts(self, arrays: Sequence[NDArray[Any]], several: Sequence[bool]) -> list[NDArray[Any]]:
+    def split_columns(self, arrays: Sequence[NDArray[Any]], several: Sequence[bool]) -> list[NDArray[Any]]:
         """Return the columns of arrays; an array with `several` has one column per row of its first axis. The result has the same
         objects as long as the arrays are the same."""
         if len(arrays) != len(self._whole) or any(map(is_not, arrays, self._whole)):
@@ -69,19 +69,19 @@ class RowHash:
         if not count:  # arrays without rows have any strides
             return _to_digest((0, 0))
         table = self._table
-        if table is None or len(arrays) != len(self._arrays) or not table.lie(arrays, self._arrays):
+        if table is None or len(arrays) != len(self._arrays) or not table.rebind(arrays, self._arrays):
             self._table = table = Table(arrays, keys, ids=ids is not None)
         self._arrays = arrays
         return _to_digest(table.sums(count, threads))
 
 
-def named(names: tuple[str, ...], columns: Iterable[NDArray[Any]]) -> bytes:
+def describe_columns(names: tuple[str, ...], columns: Iterable[NDArray[Any]]) -> bytes:
     """Return what a digest needs of columns in addition to the hash of the rows: their names and types."""
-    return _named(names, tuple([column.dtype for column in columns]))
+    return _describe_columns(names, tuple([column.dtype for column in columns]))
 
 
 @lru_cache(64)
-def _named(names: tuple[str, ...], types: tuple[np.dtype[Any], ...]) -> bytes:
+def _describe_columns(names: tuple[str, ...], types: tuple[np.dtype[Any], ...]) -> bytes:
     return "".join(f"\0{name} {dtype.str}" for name, dtype in zip(names, types, strict=True)).encode()
 
 
@@ -146,9 +146,9 @@ class Table:
         self._table = np.array(table, np.int64)
         self._heads: Longs = np.zeros((0, HEAD), np.int64)  # of each chunk
         self._chunks: Longs = np.zeros((0, 3), np.int64)
-        self.lie(columns, [None] * len(columns))
+        self.rebind(columns, [None] * len(columns))
 
-    def lie(self, columns: Sequence[NDArray[Any]], previous: Sequence[NDArray[Any] | None]) -> bool:
+    def rebind(self, columns: Sequence[NDArray[Any]], previous: Sequence[NDArray[Any] | None]) -> bool:
         """Return whether other arrays can replace the columns; if so, they do from now on. `previous`: the arrays that they
         replace."""
         for k, (column, other) in enumerate(zip(columns, previous, strict=True)):
@@ -173,7 +173,7 @@ class Table:
             ends = [count * k // chunks for k in range(chunks + 1)]
             self._chunks = np.array([(address(self._heads[k]), *ends[k : k + 2]) for k in range(chunks)], np.int64)
         self._heads[:, :2] = 0
-        parallel.listed(_function(), self._chunks, threads)
+        parallel.call_rows(_function(), self._chunks, threads)
         first, second = (sum(column) for column in self._heads[:, :2].T.tolist())
         return first, second
 

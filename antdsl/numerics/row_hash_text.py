@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from antdsl.machine_code import machine
-from antdsl.machine_code.entries import entry
+from antdsl.machine_code.entries import inner_text
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.module import Module
 
@@ -43,7 +43,7 @@ class _Text:
     def place(self, begin: str, of: str, number: str) -> str:
         return self.put(f"getelementptr {of}, ptr {begin}, i64 {number}")
 
-    def all_of(self, value: str, kind: str = "i64") -> str:
+    def broadcast(self, value: str, kind: str = "i64") -> str:
         """A number in all lanes."""
         one = self.put(f"insertelement <{LANES} x {kind}> poison, {kind} {value}, i64 0")
         return self.put(f"shufflevector <{LANES} x {kind}> {one}, <{LANES} x {kind}> poison, <{LANES} x i32> zeroinitializer")
@@ -80,13 +80,13 @@ def text(target: machine.Target) -> str:
         w.do(f"call void @llvm.memset.p0.i64(ptr align 64 %lane{lane}, i8 0, i64 %bytes, i1 false)")
     w.do("br label %words.loop")
     _words(w)
-    _mixed(w)
+    _mix_rows(w)
     w.at("over")
     for lane in (0, 1):
         place = w.place("%t", "i64", str(lane))
         old_sum = w.put(f"load i64, ptr {place}")
         w.do(f"store i64 {w.put(f'add i64 {old_sum}, %sum{lane}')}, ptr {place}")
-    return f"{module.text()}\n{entry(module, 'rows', chr(10).join(w.lines))}\n"
+    return f"{module.text()}\n{inner_text(module, 'rows', chr(10).join(w.lines))}\n"
 
 
 def _words(w: _Text) -> None:
@@ -99,7 +99,7 @@ def _words(w: _Text) -> None:
     addresses = [w.place(word, "i64", str(k)) for k in range(WORDS)]
     kind, *steps = (w.put(f"load i64, ptr {addresses[k]}") for k in (0, 2, 4))
     columns = [w.put(f"load ptr, ptr {addresses[k]}") for k in (1, 3)]
-    keys = [w.all_of(w.put(f"load i64, ptr {place}")) for place in addresses[5:]]
+    keys = [w.broadcast(w.put(f"load i64, ptr {place}")) for place in addresses[5:]]
     begins = [w.place(column, "i8", w.put(f"mul i64 %first, {step}")) for column, step in zip(columns, steps, strict=True)]
     kind_tests = [w.put(f"icmp eq i64 {kind}, {each}") for each in (CONTIGUOUS, HALVES)]
     in_place = w.put("xor i1 %few, true")
@@ -114,27 +114,27 @@ def _words(w: _Text) -> None:
         f"  i64 {NUMBERS}, label %numbers ]"
     )
     w.at("strided")
-    _gathered(w, "strided.loop", "strided", begins[0], steps[0], "i64", None)
+    _gather_values(w, "strided.loop", "strided", begins[0], steps[0], "i64", None)
     w.do("br label %add")
     w.at("numbers")
-    _numbered(w)
+    _write_row_numbers(w)
     w.at("halves")
-    _half(w, "low", begins[0], steps[0])
+    _write_halves(w, "low", begins[0], steps[0])
     w.at("low.done")
-    _half(w, "high", begins[1], steps[1])
+    _write_halves(w, "high", begins[1], steps[1])
     w.at("high.done")
     w.do("br label %add")
     sources = [(begins[0], "word"), *(("%values", label) for label in ("strided.loop.end", "numbers.of.end", "high.done"))]
     w.at("add")
     w.do("%of = phi ptr " + ", ".join(f"[ {value}, %{label} ]" for value, label in sources))
-    _added(w, "adding", "add", ["%of"], keys)
+    _add_products(w, "adding", "add", ["%of"], keys)
     w.at("pairs")
-    _added(w, "pairing", "pairs", begins, keys)
+    _add_products(w, "pairing", "pairs", begins, keys)
     w.at("added")
     w.do("%w.next = add i64 %w, 1\n  br label %words.loop")
 
 
-def _added(w: _Text, label: str, predecessor: str, columns: Sequence[str], keys: Sequence[str]) -> None:
+def _add_products(w: _Text, label: str, predecessor: str, columns: Sequence[str], keys: Sequence[str]) -> None:
     """Add the products of a word to both lanes of a block, after the block `predecessor`. The word comes from one column of full
     words, or from two of halves."""
     _loop(w, label, predecessor, LANES, "%room")
@@ -157,7 +157,7 @@ def _added(w: _Text, label: str, predecessor: str, columns: Sequence[str], keys:
     w.do("br label %added")
 
 
-def _half(w: _Text, name: str, begin: str, step: str) -> None:
+def _write_halves(w: _Text, name: str, begin: str, step: str) -> None:
     """Write the low or the `high` halves of words from a column of values of at most 4 bytes, and continue at `name`.done."""
     shift = 32 if name == "high" else 0
     w.do(f"br i1 %few, label %{name}.few, label %{name}.many")
@@ -174,9 +174,9 @@ def _half(w: _Text, name: str, begin: str, step: str) -> None:
             label, kind = f"{name}.{mode}.{size}", f"i{8 * size}" if size else "i32"
             w.at(label)
             if size and many:
-                _read(w, f"{label}.loop", label, begin, kind, shift)
+                _read_halves(w, f"{label}.loop", label, begin, kind, shift)
             else:
-                _gathered(w, f"{label}.loop", label, begin, step, kind, shift)
+                _gather_values(w, f"{label}.loop", label, begin, step, kind, shift)
             w.do(f"br label %{name}.done")
 
 
@@ -195,7 +195,7 @@ def _end(w: _Text, label: str) -> None:
     w.at(f"{label}.end")
 
 
-def _read(w: _Text, label: str, predecessor: str, begin: str, kind: str, shift: int) -> None:
+def _read_halves(w: _Text, label: str, predecessor: str, begin: str, kind: str, shift: int) -> None:
     """Emit a loop that adds contiguous values in memory as halves of 64-bit values."""
     _loop(w, label, predecessor, LANES, "%room")
     at = w.place(begin, kind, f"%{label}.i")
@@ -212,7 +212,7 @@ def _read(w: _Text, label: str, predecessor: str, begin: str, kind: str, shift: 
     _end(w, label)
 
 
-def _gathered(w: _Text, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
+def _gather_values(w: _Text, label: str, predecessor: str, begin: str, step: str, kind: str, shift: int | None) -> None:
     """Write values that are `step` bytes apart, one by one, as full words or as halves."""
     _loop(w, label, predecessor, 1, "%count")
     at = w.place(begin, "i8", w.put(f"mul i64 %{label}.i, {step}"))
@@ -230,17 +230,17 @@ def _gathered(w: _Text, label: str, predecessor: str, begin: str, step: str, kin
     _end(w, label)
 
 
-def _numbered(w: _Text) -> None:
+def _write_row_numbers(w: _Text) -> None:
     """Write the numbers of the rows."""
     _loop(w, "numbers.of", "numbers", LANES, "%room")
-    number = w.put(f"add {_LONG} {w.all_of(w.put('add i64 %first, %numbers.of.i'))}, {_TURNS}")
+    number = w.put(f"add {_LONG} {w.broadcast(w.put('add i64 %first, %numbers.of.i'))}, {_TURNS}")
     place = w.place("%values", "i64", "%numbers.of.i")
     w.do(f"store {_LONG} {number}, ptr {place}, align 64")
     _end(w, "numbers.of")
     w.do("br label %add")
 
 
-def _mixed(w: _Text) -> None:
+def _mix_rows(w: _Text) -> None:
     """Mix both lanes of each row of a block and add them to the sums, row by row: few processors multiply 64 bits in lanes."""
     w.at("mix")
     w.do("br label %mixing")

@@ -30,15 +30,15 @@ def stable_order(keys: NDArray[np.integer[Any]]) -> NDArray[np.intp]:
     return order
 
 
-def interleaved(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
+def morton_codes(cells: NDArray[np.uint64], threads: int = 1) -> NDArray[np.uint64]:
     """Numbers of cells [n,3] along the curve of G. Morton (1966), by their bits in turn; 21 bits of each axis count."""
     code = np.zeros(len(cells), np.uint64)
-    parallel.in_parts(partial(interleave, np.ascontiguousarray(cells), code), len(cells), threads, parallel.LIGHT)
+    parallel.in_parts(partial(write_morton_codes, np.ascontiguousarray(cells), code), len(cells), threads, parallel.LIGHT)
     return code
 
 
 @inlined
-def _spread(bits: U64) -> U64:
+def _spread_bits(bits: U64) -> U64:
     """21 bits, two free ones after each."""
     bits = (bits | (bits << np.uint64(32))) & np.uint64(0x1F00000000FFFF)
     bits = (bits | (bits << np.uint64(16))) & np.uint64(0x1F0000FF0000FF)
@@ -48,15 +48,15 @@ def _spread(bits: U64) -> U64:
 
 
 @kernel
-def interleave(cells: Array2[U64], code: Array1[U64], begin: I64, end: I64) -> None:
+def write_morton_codes(cells: Array2[U64], code: Array1[U64], begin: I64, end: I64) -> None:
     """Write the number `code` [n] of each cell [n,3] from `begin` to before `end`."""
     for n in independent(begin, end):
-        x, y, z = _spread(cells[n, 0]), _spread(cells[n, 1]), _spread(cells[n, 2])
+        x, y, z = _spread_bits(cells[n, 0]), _spread_bits(cells[n, 1]), _spread_bits(cells[n, 2])
         code[n] = x | (y << np.uint64(1)) | (z << np.uint64(2))
 
 
 @inlined
-def place_among(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
+def lower_bound(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
     """Return how many keys are less than a key, by binary search between `first` and `last`."""
     a, b = first, last
     while a < b:
@@ -69,7 +69,7 @@ def place_among(keys: Array1[I64], key: I64, first: I64, last: I64) -> I64:
 
 
 @inlined
-def listed(flags: Array1[Any], count: I64) -> I64:
+def compact_indices(flags: Array1[Any], count: I64) -> I64:
     """Move the indices of the 1s among the first `count` flags to the front; return how many there are."""
     hits = 0
     for k in range(count):

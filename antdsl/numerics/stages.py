@@ -17,7 +17,7 @@ def begin(words: str) -> None:
 
 
 @contextmanager
-def reported(listener: Callable[[str], None]) -> Iterator[None]:
+def report_to(listener: Callable[[str], None]) -> Iterator[None]:
     """Call `listener` with the words of each stage that this thread begins within the context."""
     token = _listener.set(listener)
     try:

@@ -26,7 +26,7 @@ from antdsl.numerics import stages
 Tables = dict[str, NDArray[Any]]
 
 LEAST: Final = 10_000  # faces of a mesh, or cells, from which on tables are stored: those of fewer take no time
-KIND: Final = object_cache.Kind(
+KIND: Final = object_cache.StoreKind(
     "tables",
     "ANTDSL_TABLE_CACHE",
     ".tables",
@@ -46,7 +46,7 @@ _TYPES: Final = frozenset(["|b1", "|i1", "<i4", "<i8", "<f4", "<f8"])
 _computed = 0  # tables, by this process
 
 
-def stored(
+def get_or_compute(
     name: str, size: int, inputs: Sequence[NDArray[Any] | float | str], compute: Callable[[], Tables], unit: str = "faces"
 ) -> Tables:
     """Return the result of `compute` for these inputs, stored from an earlier run where possible. The arrays belong to the
@@ -56,18 +56,18 @@ def stored(
     computation."""
     global _computed
     key = _key(name, inputs) if size >= LEAST else None
-    tables = None if key is None else _unpacked(_store().get(key))
+    tables = None if key is None else _unpack(_store().get(key))
     if tables is None:
         if size >= LEAST:
             stages.begin(f"{name} of {size:,} {unit}")
         tables = compute()
         _computed += 1
         if key is not None and sum(array.nbytes for array in tables.values()) <= _LARGEST - MIB:
-            _store().put(key, _packed(tables))
+            _store().put(key, _pack(tables))
     return tables
 
 
-def computed() -> int:
+def computed_count() -> int:
     """Return how many tables this process has computed because they were not stored."""
     return _computed
 
@@ -116,7 +116,7 @@ def _modules() -> Iterator[Path]:
         yield from sorted((package / folder).rglob("*.py"))
 
 
-def _packed(tables: Mapping[str, NDArray[Any]]) -> bytes:
+def _pack(tables: Mapping[str, NDArray[Any]]) -> bytes:
     """A line of JSON, the name, type and shape of each array, then the arrays."""
     arrays = {name: np.ascontiguousarray(array) for name, array in tables.items()}
     line = json.dumps([[name, array.dtype.str, array.shape] for name, array in arrays.items()]).encode() + b"\n"
@@ -128,8 +128,8 @@ def _packed(tables: Mapping[str, NDArray[Any]]) -> bytes:
     return b"".join(parts)
 
 
-def _unpacked(data: bytes | None) -> Tables | None:
-    """Return the arrays of `_packed`; None for no data or any other data."""
+def _unpack(data: bytes | None) -> Tables | None:
+    """Return the arrays of `_pack`; None for no data or any other data."""
     if data is None:
         return None
     tables: Tables = {}

@@ -9,7 +9,7 @@ Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
 
 
-def columned(v: Floats) -> Floats:
+def contiguous_columns(v: Floats) -> Floats:
     """A copy (n, 3) of which each component is contiguous."""
     return np.array(np.asarray(v, np.float64).T, order="C").T
 
@@ -21,7 +21,7 @@ def take_rows(v: Floats, rows: Rows) -> Floats:
     return v.T.take(rows, axis=1).T
 
 
-def within(place: Floats, low: Floats, high: Floats) -> Rows:
+def rows_in_box(place: Floats, low: Floats, high: Floats) -> Rows:
     """Which places lie in a box."""
     inside = np.ones(len(place), np.bool_)
     for axis in range(3):
@@ -55,7 +55,7 @@ def unit_or(v: Floats, otherwise: Floats) -> Floats:
     return np.where(size > 1e-9, v / np.maximum(size, 1e-9), unit(np.broadcast_to(np.asarray(otherwise, np.float64), v.shape)))
 
 
-def level(v: Floats, normal: Floats) -> Floats:
+def unit_tangent(v: Floats, normal: Floats) -> Floats:
     """Unit vectors at right angles to the normals."""
     flat = v - (v * normal).sum(axis=1)[:, None] * normal
     level: Floats = flat / np.maximum(length(flat), 1e-12)[:, None]

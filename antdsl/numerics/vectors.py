@@ -82,7 +82,7 @@ def turned(v: Array, source: Array, target: Array, direction: Array) -> Array:
     return np.where(opposite, 2 * dot(hinge, v) * hinge - v, around)
 
 
-def across(up: Vector) -> Vector:
+def any_perpendicular(up: Vector) -> Vector:
     """Some unit vector across a unit vector."""
     steep = np.abs(up[0]) > 0.9
     zero, one = np.zeros_like(up[0]), np.ones_like(up[0])
@@ -96,13 +96,13 @@ def columns(a: NDArray[Any], dtype: type[np.floating[Any]]) -> Vector:
     return np.ascontiguousarray(a[:, 0], dtype), np.ascontiguousarray(a[:, 1], dtype), np.ascontiguousarray(a[:, 2], dtype)
 
 
-def named(registers: Mapping[str, Array], name: str) -> Vector:
+def vector_registers(registers: Mapping[str, Array], name: str) -> Vector:
     """The three registers of a vector, themselves."""
-    return _parts(name)(registers)
+    return _register_getter(name)(registers)
 
 
 @cache
-def _parts(name: str) -> Callable[[Mapping[str, Array]], Vector]:
+def _register_getter(name: str) -> Callable[[Mapping[str, Array]], Vector]:
     return itemgetter(f"{name}.x", f"{name}.y", f"{name}.z")
 
 

@@ -24,7 +24,7 @@ from antdsl.machine_code import workers_text as words
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct_text import PARTS
 from antdsl.machine_code.memory import address
-from antdsl.numerics.float_environment import be_standard
+from antdsl.numerics.float_environment import set_standard
 from antdsl.numerics.host import EACH
 
 T = TypeVar("T")
@@ -53,18 +53,18 @@ class Workers:
         self._failed: list[BaseException] = []
         self._called = ctypes.CFUNCTYPE(*_ENTRY)(self._one)
         self._numbers = np.array([(0, k + 1, 0) for k in range(PARTS)], np.int64)
-        locks = [_lock() for _ in range(count + 1)]
-        self._words[[words.WORKERS, words.TURNS, words.LOCK]] = count, _turns(), locks[count]
-        self._words[[words.ACQUIRE, words.RELEASE]] = [_place(name) for name in _LOCKS[1:]]
+        locks = [_make_locked_lock() for _ in range(count + 1)]
+        self._words[[words.WORKERS, words.TURNS, words.LOCK]] = count, _spin_turns(), locks[count]
+        self._words[[words.ACQUIRE, words.RELEASE]] = [_symbol_address(name) for name in _LOCKS[1:]]
         for k in range(count):
             self._words[words.SLEEPS + words.LINE * k + 1] = locks[k]
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(self))  # its threads may be at work until the process is gone
-        self._threads = [Thread(target=self._stay, args=(loop, k), name=f"kernels {k}", daemon=True) for k in range(count)]
+        self._threads = [Thread(target=self._run_worker, args=(loop, k), name=f"kernels {k}", daemon=True) for k in range(count)]
         for each in self._threads:
             each.start()
 
-    def _stay(self, loop: Callable[[int, int, int], None], number: int) -> None:
-        be_standard()
+    def _run_worker(self, loop: Callable[[int, int, int], None], number: int) -> None:
+        set_standard()
         loop(self.address, number, 0)
 
     def do(self, work: Callable[[int], object], helpers: int) -> None:
@@ -125,12 +125,12 @@ class Workers:
             self._failed.append(problem)
 
 
-class Executed:
+class ExecutorPool:
     """The same interface on an executor, without machine code."""
 
     def __init__(self, count: int) -> None:
         self.asks: dict[None, object] = {}
-        self._executor = ThreadPoolExecutor(count, "kernels", be_standard)
+        self._executor = ThreadPoolExecutor(count, "kernels", set_standard)
 
     def do(self, work: Callable[[int], object], helpers: int) -> None:
         """As `Workers.do`."""
@@ -165,12 +165,12 @@ def in_parts(work: Callable[[int, int], T], count: int, threads: int, paying: in
     def together() -> list[T]:
         least = min(paying, threads, PARTS)
         results = pool.kernel(work, count, parts(count, least)) if isinstance(pool, Workers) else None
-        return _pulled(pool, work, count, least) if results is None else results
+        return _pull_parts(pool, work, count, least) if results is None else results
 
     return _run_exclusively(pool, together, lambda: [work(0, count)])
 
 
-def _run_exclusively(pool: Workers | Executed, together: Callable[[], T], alone: Callable[[], T]) -> T:
+def _run_exclusively(pool: Workers | ExecutorPool, together: Callable[[], T], alone: Callable[[], T]) -> T:
     """Return the result of `together` if no other caller uses the pool, else that of `alone`."""
     own = object()
     try:
@@ -183,7 +183,7 @@ def _run_exclusively(pool: Workers | Executed, together: Callable[[], T], alone:
     return alone()
 
 
-def _pulled(pool: Workers | Executed, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
+def _pull_parts(pool: Workers | ExecutorPool, work: Callable[[int, int], T], count: int, parts: int) -> list[T]:
     """Return the results of parts that are Python functions. Raises the exception of the first part that failed; later parts may
     not have started."""
     results: dict[int, T] = {}
@@ -210,7 +210,7 @@ def side_by_side(work: Callable[[int], object], threads: int) -> None:
     _run_exclusively(pool, lambda: pool.do(work, threads - 1), lambda: work(0))
 
 
-def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
+def call_rows(function: Callable[[int, int, int], None], parts: NDArray[np.int64], threads: int) -> None:
     """As `parallel.listed`."""
     pool = _pool_for(threads)
 
@@ -224,21 +224,21 @@ def listed(function: Callable[[int, int, int], None], parts: NDArray[np.int64], 
 @cache
 def possible() -> bool:
     """Whether threads can wait in machine code here."""
-    return machine.available() and direct.possible() and all(hasattr(ctypes.pythonapi, name) for name in _LOCKS)
+    return machine.is_available() and direct.possible() and all(hasattr(ctypes.pythonapi, name) for name in _LOCKS)
 
 
-_pools: dict[int, Workers | Executed] = {}
+_pools: dict[int, Workers | ExecutorPool] = {}
 _guard = Lock()
 
 
-def _pool_for(threads: int) -> Workers | Executed:
+def _pool_for(threads: int) -> Workers | ExecutorPool:
     """Return the cached pool for a number of threads, the caller's included. It runs machine code where that is possible."""
     pool = _pools.get(threads)
     if pool is None:
         with _guard:
             pool = _pools.get(threads)
             if pool is None:
-                pool = _pools[threads] = Workers(threads - 1) if possible() else Executed(threads - 1)
+                pool = _pools[threads] = Workers(threads - 1) if possible() else ExecutorPool(threads - 1)
     return pool
 
 
@@ -259,14 +259,14 @@ def _end() -> None:
         each.end()
 
 
-def _place(name: str) -> int:
+def _symbol_address(name: str) -> int:
     return ctypes.cast(getattr(ctypes.pythonapi, name), ctypes.c_void_p).value or 0
 
 
-def _lock() -> int:
+def _make_locked_lock() -> int:
     """A lock of CPython's that is taken."""
-    allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_place(_LOCKS[0]))
-    acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_place(_LOCKS[1]))
+    allocate = ctypes.CFUNCTYPE(ctypes.c_void_p)(_symbol_address(_LOCKS[0]))
+    acquire = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, ctypes.c_int)(_symbol_address(_LOCKS[1]))
     lock: int | None = allocate()
     if not lock:
         raise MemoryError
@@ -275,7 +275,7 @@ def _lock() -> int:
 
 
 @cache
-def _turns() -> int:
+def _spin_turns() -> int:
     """Return how many turns a thread without work spins before it sleeps."""
     wait, buffer = words.code().function("turns"), np.zeros(1, np.int64)
     spent = []

@@ -36,13 +36,13 @@ class Cut:
         along = points[:, self.axis]
         return along < self.at if self.below else along > self.at
 
-    def painted(self, points: NDArray[np.float64], near: float) -> NDArray[np.float64]:
+    def section_colours(self, points: NDArray[np.float64], near: float) -> NDArray[np.float64]:
         """Return colours [n,3] of a solid's vertices: dark on the plane, so that cavities are visible, and none elsewhere."""
         colour = np.full((len(points), 3), np.nan)
         colour[np.abs(points[:, self.axis] - self.at) < near] = _SECTION
         return colour
 
-    def opened(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
+    def cut_volume(self, volume: Volume, offset: NDArray[np.float64], scale: float) -> Volume:
         """Return a copy of a solid without the part beyond the plane: max(distance, depth beyond it)."""
         copied = deepcopy(volume)
         bricks = copied.bricks
@@ -62,7 +62,7 @@ class Cut:
         pool[slots] = np.maximum(pool[slots].reshape(-1, SIDE, SIDE, SIDE), spread).reshape(-1, CUBE)
         return copied
 
-    def picture(self, whole: Picture) -> Picture:
+    def cut_picture(self, whole: Picture) -> Picture:
         """Return a picture without the agents, items, scent and mesh faces that the plane removes. Its solids are already cut."""
         return replace(
             whole,

@@ -41,7 +41,7 @@ class NoAgent(Exception):
 
 
 @dataclass(frozen=True, slots=True)
-class Drawn:
+class DrawRequest:
     """The options of pictures. `cut`, `window`: as on the command line. `camera`: `scene`, `fit`, `above`, `top`, `eye` or
     `close`. `agents`: those with ids, paths and the like displayed, the first for the eye. `least`: pixels, None for the default.
     `rest`: a camera at eye level stays where the first frame put it, as films need."""
@@ -65,7 +65,7 @@ class Drawn:
         return asdict(self)
 
     @classmethod
-    def of(cls, document: Mapping[str, Any]) -> Drawn:
+    def of(cls, document: Mapping[str, Any]) -> DrawRequest:
         """What a document tells of."""
         full = tuple((str(name), float(value)) for name, value in document["full"])
         return cls(**{**document, "show": tuple(document["show"]), "agents": tuple(document["agents"]), "full": full})
@@ -80,7 +80,7 @@ class Drawn:
 class Drawer:
     """Drawer of some `frames` of a gallery, on several threads. A fixed camera is chosen from the first of them."""
 
-    def __init__(self, gallery: Gallery, request: Drawn, frames: Sequence[int], threads: int) -> None:
+    def __init__(self, gallery: Gallery, request: DrawRequest, frames: Sequence[int], threads: int) -> None:
         self.gallery, self.wanted, self.frames = gallery, request, list(frames)
         self._agents = frozenset(request.agents)
         first = gallery.picture(self.frames[0], agents=self._agents)
@@ -138,12 +138,12 @@ class Stills:
     """The requested stills of a cache in a folder."""
 
     folder: Path
-    request: Drawn
+    request: DrawRequest
     _lines: Mapping[int, Line]
     _inputs: str
 
     @classmethod
-    def of(cls, folder: Path, cache: Cache, request: Drawn, together: Sequence[int]) -> Stills:
+    def of(cls, folder: Path, cache: Cache, request: DrawRequest, together: Sequence[int]) -> Stills:
         """Open the stills of a cache. The hash covers data that identifies the cache's frames. `together`: the frames that the
         camera is chosen for."""
         read = cache.manifest.model_copy(update={"made_with": None}).model_dump_json()  # pictures do not depend on it

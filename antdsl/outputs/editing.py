@@ -16,7 +16,7 @@ from antdsl.outputs.cache.cache_reader import STATIC, Arrays, Cache, CacheError,
 from antdsl.outputs.cache.cache_writer import clear, prepare_folder
 from antdsl.outputs.cache.hashes import HASHES, hash_of_static, line_of
 from antdsl.outputs.cache.lock import FolderLock
-from antdsl.outputs.cache.manifest import way_to, write_manifest
+from antdsl.outputs.cache.manifest import relative_path, write_manifest
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.whole import sync_files, write_atomically
 
@@ -42,7 +42,7 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
         (folder / "manifest.json").unlink(missing_ok=True)  # until all is there the folder is no cache
         static = npz_file(cache.static())
         write_atomically(folder / STATIC, static.parts)
-        yield from _frames(cache, folder, width)
+        yield from _write_frames(cache, folder, width)
         sync_files(frame_path(folder, number) for number in cache.frames())
         edits = sum(name.startswith("edit ") for name in cache.manifest.inputs)
         inputs = {**cache.manifest.inputs, f"edit {edits + 1}": f"smooth orient:{width}"}
@@ -50,17 +50,17 @@ def smooth_orientations(cache: Cache, folder: Path, width: int, *, force: bool =
         write_manifest(folder, cache.manifest.model_copy(update=change))
 
 
-def _frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
+def _write_frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
     """Write the frames in order, with the orientations of `width` frames in memory at a time."""
     numbers, states, lines = cache.frames(), cache.hashes(), []
     existing_frames, near = set(numbers), {}
     for number in numbers:
         for each in range(number - width // 2, number + width // 2 + 1):
             if each in existing_frames and each not in near:
-                near[each] = _oriented(cache, each)
+                near[each] = _read_orientations(cache, each)
         for past in [each for each in near if each < number - width // 2]:
             del near[past]
-        arrays = {**cache.frame(number), "orient": smoothed(near, number, width)}
+        arrays = {**cache.frame(number), "orient": smooth_frame(near, number, width)}
         file = npz_file(arrays)
         write_atomically(frame_path(folder, number), file.parts, sync=False)
         lines.append(line_of(number, states.get(number, ""), file).text(number))
@@ -68,7 +68,7 @@ def _frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
     write_atomically(folder / HASHES, b"".join(lines))
 
 
-def _oriented(cache: Cache, number: int) -> Oriented:
+def _read_orientations(cache: Cache, number: int) -> FrameOrientations:
     arrays: Arrays = cache.frame(number, frozenset(("id", "orient", "species")))
     orient, ids = arrays.get("orient"), arrays.get("id")
     if orient is None or ids is None or ids.ndim != 1 or orient.shape != (len(ids), 4):
@@ -77,25 +77,25 @@ def _oriented(cache: Cache, number: int) -> Oriented:
     if species.shape != ids.shape:
         raise CacheError(f"`{frame_path(cache.folder, number)}` has no species for each agent")
     key = ids.astype(np.int64) * max(len(cache.manifest.species), 1) + species.astype(np.int64)
-    return Oriented(key, orient.astype(np.float64))
+    return FrameOrientations(key, orient.astype(np.float64))
 
 
 def _scene_path(cache: Cache, folder: Path) -> str | None:
     """The way to the scene from another folder."""
     if cache.manifest.scene_path is None:
         return None
-    return way_to(Path(os.path.normpath(cache.folder.resolve() / cache.manifest.scene_path)), folder)
+    return relative_path(Path(os.path.normpath(cache.folder.resolve() / cache.manifest.scene_path)), folder)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Oriented:
+class FrameOrientations:
     """The agents of a frame: unique identifiers int64[n], and unit quaternions float64[n,4]."""
 
     key: NDArray[np.int64]
     orient: NDArray[np.float64]
 
 
-def smoothed(frames: Mapping[int, Oriented], frame: int, width: int) -> NDArray[np.float32]:
+def smooth_frame(frames: Mapping[int, FrameOrientations], frame: int, width: int) -> NDArray[np.float32]:
     """Return the orientations [n,4] of a frame as weighted means over `width` frames, half of them before it and half after.
 
     Weights fall off as a raised cosine (J. von Hann's window). An agent that is not in all of these frames without a break has as
@@ -104,7 +104,7 @@ def smoothed(frames: Mapping[int, Oriented], frame: int, width: int) -> NDArray[
     Quaternions are added with the sign that lies nearer to the next frame's towards the middle, and normalised. For small angles
     this is the mean of F. L. Markley et al., Averaging Quaternions, J. Guidance, Control, and Dynamics 30 (2007)."""
     current, half = frames[frame], width // 2
-    sides = [_side(frames, frame, direction, half) for direction in (-1, 1)]
+    sides = [_side_orientations(frames, frame, direction, half) for direction in (-1, 1)]
     reach = np.minimum(sides[0][1], sides[1][1])
     total = current.orient.copy()
     for k in range(half):
@@ -115,8 +115,8 @@ def smoothed(frames: Mapping[int, Oriented], frame: int, width: int) -> NDArray[
     return np.where(good[:, None], total / np.where(good, size, 1.0)[:, None], current.orient).astype(np.float32)
 
 
-def _side(
-    frames: Mapping[int, Oriented], frame: int, direction: int, half: int
+def _side_orientations(
+    frames: Mapping[int, FrameOrientations], frame: int, direction: int, half: int
 ) -> tuple[list[NDArray[np.float64]], NDArray[np.int64]]:
     """Return the orientations of a frame's agents in `half` frames to one side, the nearest first. Also return in how many of
     these frames each agent exists."""

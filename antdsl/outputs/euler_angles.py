@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.body import rotation
+from antdsl.bodies.body import rotation_matrices
 
 Floats = NDArray[np.float64]
 _LOCKED = 1e-6  # cosine of the middle angle below which only the sum or difference of the others is known
@@ -26,7 +26,7 @@ class Angles:
         if len(self._ids):
             at = np.minimum(np.searchsorted(self._ids, ids), len(self._ids) - 1)
             previous = np.where((self._ids[at] == ids)[:, None], self._last[at], previous)
-        angles = nearest_angles(rotation(np.asarray(orient, np.float64)), previous)
+        angles = nearest_angles(rotation_matrices(np.asarray(orient, np.float64)), previous)
         self._ids, self._last = ids.copy(), angles
         return np.degrees(angles)
 
@@ -41,12 +41,12 @@ def nearest_angles(turn: Floats, previous: Floats) -> Floats:
     c, s = np.cos(outer), np.sin(outer)
     middle = np.arctan2(-turn[:, 2, 0], c * turn[:, 0, 0] + s * turn[:, 1, 0])
     inner = np.arctan2(s * turn[:, 0, 2] - c * turn[:, 1, 2], c * turn[:, 1, 1] - s * turn[:, 0, 1])
-    one = _unwound(np.stack([inner, middle, outer], axis=1), previous)
-    other = _unwound(np.stack([inner + np.pi, np.pi - middle, outer + np.pi], axis=1), previous)
+    one = _unwind(np.stack([inner, middle, outer], axis=1), previous)
+    other = _unwind(np.stack([inner + np.pi, np.pi - middle, outer + np.pi], axis=1), previous)
     nearer = ((other - previous) ** 2).sum(axis=1) < ((one - previous) ** 2).sum(axis=1)
     return np.where(nearer[:, None], other, one)
 
 
-def _unwound(angles: Floats, previous: Floats) -> Floats:
+def _unwind(angles: Floats, previous: Floats) -> Floats:
     """Return each angle plus the full turns that bring it nearest to the previous one."""
     return angles - 2 * np.pi * np.round((angles - previous) / (2 * np.pi))

@@ -49,9 +49,9 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     names, digits = [entry.name for entry in gallery.manifest.species], place_digits(gallery)
     with atomic_file(path) as file:
         file.write(f"{HEAD}\n".encode())
-        for frame, events in _all(gallery, frames):
+        for frame, events in _all_events(gallery, frames):
             rows: list[list[object]] = []
-            for k, word in enumerate(_words(gallery, events)):
+            for k, word in enumerate(_event_words(gallery, events)):
                 place = [digits % value for value in events.place[k] + gallery.origin]
                 numbers = [*place, *(f"{value:.9g}" for value in events.normal[k])]
                 other = (
@@ -62,7 +62,7 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
                 seconds = f"{(frame - gallery.manifest.first) * gallery.dt:.9g}"
                 rows.append([frame, seconds, events.kind, names[events.species[k]], events.id[k], *numbers, word, *other])
             file.write(csv_text(rows).encode())
-    return _missing(gallery, frames)
+    return _missing_notes(gallery, frames)
 
 
 def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
@@ -70,7 +70,7 @@ def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     `other_species`, `other` and `depth`. `KIND.P` is relative to `origin` float64[3]."""
     frames = list(frames)
     events_by_kind: dict[str, list[tuple[int, Events]]] = {kind: [] for kind in KINDS}
-    for frame, each in _all(gallery, frames):
+    for frame, each in _all_events(gallery, frames):
         events_by_kind[each.kind].append((frame, each))
     arrays: dict[str, NDArray[Any]] = {"origin": gallery.origin}
     for kind, parts in events_by_kind.items():
@@ -90,17 +90,17 @@ def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
             put("other", [each.other for each in events], np.int64)
             put("depth", [each.depth for each in events], np.float32)
     write_atomically(path, to_bytes(arrays))
-    return _missing(gallery, frames)
+    return _missing_notes(gallery, frames)
 
 
-def _missing(gallery: Gallery, frames: list[int]) -> list[str]:
+def _missing_notes(gallery: Gallery, frames: list[int]) -> list[str]:
     arrays = gallery.cache.frame(frames[-1])
     lacks = [kind for kind in ("emit", "contact") if f"events.{kind}.id" not in arrays]
     kinds = ", ".join(lacks)
     return [f"the cache has no events {' and '.join(f'`{k}`' for k in lacks)}: `output: {{events: [{kinds}]}}`"] if lacks else []
 
 
-def _all(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Events]]:
+def _all_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Events]]:
     """Yield the events of frames, kind after kind. Those of the first frame come from a comparison with the frame before it, if
     there is one."""
     previous: Arrays | None
@@ -112,16 +112,16 @@ def _all(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Events]]:
     for frame in frames:
         arrays = gallery.cache.frame(frame)
         if previous is not None:
-            yield from ((frame, each) for each in _compared(gallery, previous, arrays) if len(each.id))
+            yield from ((frame, each) for each in _compare_frames(gallery, previous, arrays) if len(each.id))
         for each in _stored_events(arrays, known_pairs):
             if len(each.id):
                 yield frame, each
         previous, known_pairs = arrays, _pairs(arrays)
 
 
-def _compared(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Iterator[Events]:
+def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Iterator[Events]:
     """What two frames tell of."""
-    (was, old), (now, new) = _agents(previous), _agents(arrays)
+    (was, old), (now, new) = _agent_keys(previous), _agent_keys(arrays)
     _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
     yield _events("birth", arrays, np.flatnonzero(~np.isin(now, was)))
     yield _events("death", previous, np.flatnonzero(~np.isin(was, now)))
@@ -140,7 +140,7 @@ def _compared(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Iterator[Ev
         yield _events("footfall", arrays, rows[1][row], leg, np.asarray(positions, np.float64)[row, leg])
 
 
-def _agents(arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _agent_keys(arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """A key of each agent, and its species."""
     species = np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(arrays["P"]), np.int64)
     return np.asarray(arrays["id"], np.int64) * 4096 + species, species
@@ -151,7 +151,7 @@ def _events(
 ) -> Events:
     """Return events of agents at rows of a frame, with their up, and their position unless `place` gives another."""
     none = np.full(len(rows), -1, np.int64)
-    _, species = _agents(arrays)
+    _, species = _agent_keys(arrays)
     up = turned(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_UP, (len(rows), 1)))
     where = np.asarray(arrays["P"], np.float64)[rows] if place is None else place
     details = none if what is None else np.asarray(what, np.int64)
@@ -172,22 +172,22 @@ def _stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterato
             of.get("depth", np.zeros(len(none))).astype(np.float64),
         )  # fmt: skip
         if kind == "contact":
-            new = np.array([pair not in known_pairs for pair in _rows(of)], np.bool_)
+            new = np.array([pair not in known_pairs for pair in _as_tuples(of)], np.bool_)
             events = Events(kind, *(getattr(events, name)[new] for name in Events.__slots__[1:]))
         yield events
 
 
 def _pairs(arrays: Arrays) -> set[tuple[int, ...]]:
     prefix = "events.contact."
-    return set(_rows({name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}))
+    return set(_as_tuples({name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}))
 
 
-def _rows(of: dict[str, NDArray[Any]]) -> list[tuple[int, ...]]:
+def _as_tuples(of: dict[str, NDArray[Any]]) -> list[tuple[int, ...]]:
     keys = ("species", "id", "other_species", "other")
     return list(zip(*(of[key].tolist() for key in keys), strict=True)) if "other" in of else []
 
 
-def _words(gallery: Gallery, events: Events) -> list[str]:
+def _event_words(gallery: Gallery, events: Events) -> list[str]:
     """Return the descriptions of events: the state that begins, the leg that lands, the event that is emitted."""
     species, manifest = events.species.tolist(), gallery.manifest
     if events.kind == "state":

@@ -16,7 +16,7 @@ from antdsl.outputs.geo_export import export_geo
 from antdsl.outputs.gltf_export import export_gltf
 from antdsl.outputs.mesh_export import export_meshes, export_usd_meshes
 from antdsl.outputs.npz_export import export_arrays
-from antdsl.outputs.numbered_files import numbered
+from antdsl.outputs.numbered_files import numbered_path
 from antdsl.outputs.poses_export import export_poses
 from antdsl.outputs.solid_export import export_solids, export_volumes
 from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances, export_xforms
@@ -41,9 +41,9 @@ class Export:
 
     def paths(self, form: str, path: Path, frames: list[int]) -> list[Path]:
         """The files that a form writes."""
-        return [numbered(path, frame) for frame in frames] if form in self.each else [path]
+        return [numbered_path(path, frame) for frame in frames] if form in self.each else [path]
 
-    def takes(self, form: str) -> frozenset[str]:
+    def option_names(self, form: str) -> frozenset[str]:
         """Return the names of a form's options other than frames and path."""
         return frozenset(each.name for each in fields(self.options[form])) if form in self.options else frozenset()
 
@@ -79,14 +79,14 @@ def export_for(path: Path) -> Export | None:
 
 
 @dataclass(frozen=True, eq=False)
-class SomeAgents(Cache):
+class AgentSubset(Cache):
     """Another cache, restricted to agents with some `ids`, in all species; everything else is unchanged."""
 
     ids: frozenset[int] = frozenset()
 
     def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
         """The arrays of a frame, with the rows of the chosen agents."""
-        arrays = super().frame(number, None if only is None else only | {"id", "species"} | self._beside(only))
+        arrays = super().frame(number, None if only is None else only | {"id", "species"} | self._id_arrays(only))
         if "id" not in arrays:
             return arrays
         ids = np.asarray(arrays["id"], np.int64)
@@ -104,7 +104,7 @@ class SomeAgents(Cache):
             else {name: array for name, array in chosen_arrays.items() if name in only or name == "frame"}
         )
 
-    def _beside(self, only: frozenset[str]) -> set[str]:
+    def _id_arrays(self, only: frozenset[str]) -> set[str]:
         """Return the names of the ids that some arrays belong to."""
         return {f"{name.rpartition('.')[0]}.id" for name in only if name.startswith(("pairs.", "events."))}
 

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.manifest import FeelersEntry
-from antdsl.program.model import Attribute, Const, Expr, Local, Op, ParamRef, Program, SetOf, Species
+from antdsl.program.model import Attribute, BindingRef, Const, Expr, Op, ParamRef, Program, SetOf, Species
 from antdsl.program.traverse import parts
 
 _OPS: dict[str, Callable[..., float]] = {
@@ -28,8 +28,8 @@ def feelers_of(program: Program, species: str, params: Mapping[str, Any], unit_m
     """Return all feelers of a species' layers and states. Those with numbers that change from step to step are left out."""
     entries = []
     for part in _find_feelers(program.species[species]):
-        count, spread, reach = (_value(a, 0.0, params, unit_mm, dt) for a in part.args)
-        longer = _value(part.args[2], 1.0, params, unit_mm, dt)
+        count, spread, reach = (_evaluate(a, 0.0, params, unit_mm, dt) for a in part.args)
+        longer = _evaluate(part.args[2], 1.0, params, unit_mm, dt)
         if count is not None and spread is not None and reach is not None and longer is not None:
             entries.append(FeelersEntry(count=int(count), spread=spread, reach=reach / unit_mm, per_length=longer - reach))
     return tuple(dict.fromkeys(entries))
@@ -41,7 +41,7 @@ def _find_feelers(species: Species) -> tuple[SetOf, ...]:
     return tuple(part for part in parts(species) if isinstance(part, SetOf) and part.source == "feelers")
 
 
-def _value(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:
+def _evaluate(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm: float, dt: float) -> float | None:
     """A number in base units for an agent of a size in mm; None when it depends on more than that."""
     if isinstance(part, Const):
         return float(part.number * unit_mm**part.u * dt**part.step)
@@ -49,17 +49,17 @@ def _value(part: Expr | None, size: float, params: Mapping[str, Any], unit_mm: f
         return float(params[part.name])
     if isinstance(part, Attribute) and part.of is None and part.name == "size":
         return size
-    if isinstance(part, Local) and part.binding.role in ("argument", "let"):
-        return _value(part.binding.value, size, params, unit_mm, dt)
+    if isinstance(part, BindingRef) and part.binding.role in ("argument", "let"):
+        return _evaluate(part.binding.value, size, params, unit_mm, dt)
     if isinstance(part, Op) and part.name in _OPS:
-        values = [_value(a, size, params, unit_mm, dt) for a in part.args]
+        values = [_evaluate(a, size, params, unit_mm, dt) for a in part.args]
         numbers = [v for v in values if v is not None]
         if len(numbers) == len(values) and not (part.name == "div" and numbers[1] == 0):
             return float(_OPS[part.name](*numbers))
     return None
 
 
-def rays(entry: FeelersEntry, position: NDArray[np.float64], ahead: NDArray[np.float64], up: NDArray[np.float64],
+def feeler_rays(entry: FeelersEntry, position: NDArray[np.float64], ahead: NDArray[np.float64], up: NDArray[np.float64],
          scale: NDArray[np.float64]) -> NDArray[np.float64]:  # fmt: skip
     """Return the start and end points (n · count, 2, 3) of agents' feelers. Inputs: `position` (n, 3), unit `ahead` and `up`,
     body lengths `scale`."""

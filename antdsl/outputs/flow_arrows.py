@@ -32,7 +32,7 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
         strong = np.flatnonzero(flow.c * flow.c + flow.s * flow.s > _WEAK * _WEAK)
         face, b1, b2 = face[strong], b1[strong], b2[strong]
         place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
-        direction = meshes.laid_out(face, flow.c[strong], flow.s[strong])
+        direction = meshes.to_world_vectors(face, flow.c[strong], flow.s[strong])
         cells = np.floor((place.T - meshes.low) / step).astype(np.int64)
         middle = (np.abs(place.T - meshes.low - (cells + 0.5) * step)).sum(axis=1)
         order = np.lexsort((middle, *cells.T))
@@ -45,7 +45,7 @@ def arrows(world: World, scale: float) -> dict[str, NDArray[Any]]:
     return output
 
 
-def drawn(static: Mapping[str, NDArray[Any]]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
+def read_arrows(static: Mapping[str, NDArray[Any]]) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
     """Return the start points and vectors of arrows (n, 3), by the flow's name."""
     names = [key.removeprefix("flow.").removesuffix(".P") for key in static if key.startswith("flow.") and key.endswith(".P")]
     return {n: (np.asarray(static[f"flow.{n}.P"], np.float64), np.asarray(static[f"flow.{n}.V"], np.float64)) for n in names}

@@ -11,24 +11,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError, Definition
-from antdsl.bodies.agents.machine_clips import Played
+from antdsl.bodies.agents.machine_clips import PlayedClip
 from antdsl.bodies.body import turned
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.bodies.shapes import shape_of
+from antdsl.bodies.shapes import item_shape
 from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.manifest import CameraEntry, ClipEntry, MeshEntry, SpeciesEntry
-from antdsl.outputs.cache.pose_arrays import driven, feet_of, layers_of, machines_of, worn_masks
+from antdsl.outputs.cache.pose_arrays import driven_values, feet_of, layers_of, machines_of, worn_masks
 from antdsl.outputs.cutting import Cut
-from antdsl.outputs.feelers import rays
-from antdsl.outputs.flow_arrows import drawn
-from antdsl.outputs.paths import Walks, Window, followed
+from antdsl.outputs.feelers import feeler_rays
+from antdsl.outputs.flow_arrows import read_arrows
+from antdsl.outputs.paths import Walks, Window, follow_agents
 from antdsl.outputs.pictures.camera import three
 from antdsl.outputs.pictures.model import Arrows, Camera, Crowd, Item, Kind, LegendRow, Picture, Shape, Solid, Trail
-from antdsl.outputs.pictures.trails import robust_full
-from antdsl.scene.library_bodies import BODY_WORDS, body_of
+from antdsl.outputs.pictures.trails import robust_full_strength
+from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
 
 _KINDS: tuple[tuple[str, Kind], ...] = (("boulder", "boulder"), ("rock", "boulder"), ("hill", "hill"), ("stone", "stone"))
 _LOOKS: dict[str, Kind] = {"metal": "metal", "soil": "hill", "leaf": "leaf", "light": "light"}
@@ -79,7 +79,7 @@ class Gallery:
         self._dug = DugSolids(cache, self.static, cut)
         self.flows = tuple(
             Arrows(name, place, displacement, _ARROWS[number % len(_ARROWS)])
-            for number, (name, (place, displacement)) in enumerate(drawn(self.static).items())
+            for number, (name, (place, displacement)) in enumerate(read_arrows(self.static).items())
         )
         self._worn: dict[tuple[int, int], PosedBody] = {}  # by species and the mask of the layers that are worn
         self._definitions: dict[int, Definition] = {}
@@ -105,7 +105,7 @@ class Gallery:
             frame=frame,
             grain=self._grain(self._first),
         )
-        return whole if self._cut is None else self._cut.picture(whole)
+        return whole if self._cut is None else self._cut.cut_picture(whole)
 
     @property
     def camera_moves(self) -> bool:
@@ -128,7 +128,7 @@ class Gallery:
         for k in sorted({round(k) for k in np.linspace(0, len(frames) - 1, min(len(frames), _FRAMES_FITTED))}):
             arrays = self.cache.frame(frames[k])
             place = np.asarray(arrays["P"], np.float64)
-            scale = np.asarray(arrays["pscale"], np.float64) * self._reaches(arrays)
+            scale = np.asarray(arrays["pscale"], np.float64) * self._body_reaches(arrays)
             is_finite = np.isfinite(place).all(axis=1) & np.isfinite(scale)
             place, scale = place[is_finite], scale[is_finite]
             if len(place):
@@ -136,7 +136,7 @@ class Gallery:
                 points.append(place[outermost] + directions.T * scale[outermost, None])
         return np.concatenate(points)
 
-    def _reaches(self, arrays: Arrays) -> NDArray[np.float64] | float:
+    def _body_reaches(self, arrays: Arrays) -> NDArray[np.float64] | float:
         """Return the reach of each agent's body from its position, in body lengths: 1 except for species with an agent
         definition."""
         reach = np.ones(len(self.manifest.species))
@@ -192,13 +192,13 @@ class Gallery:
             rows = _rows_of(number, arrays)
             crowd = self._species_crowd(number, frame, arrays)
             if next_arrays is not None:
-                crowd = replace(crowd, next_crowd=followed(crowd, self._species_crowd(number, frame + 1, next_arrays)))
-            dressed = self._dressed(crowd, number, arrays)
-            crowds += [self._with_lines(part, species, number, frame) for each in dressed for part in _parted(each, agents)]
+                crowd = replace(crowd, next_crowd=follow_agents(crowd, self._species_crowd(number, frame + 1, next_arrays)))
+            dressed = self._split_by_layers(crowd, number, arrays)
+            crowds += [self._with_lines(part, species, number, frame) for each in dressed for part in _split_chosen(each, agents)]
             if species.machines and "state" in arrays:
                 counts = np.bincount(np.asarray(arrays["state"])[rows], minlength=len(species.machines[0].states))
                 legend += [
-                    LegendRow(state.label or state.name, _bytes(state.colour), int(n), species.name)
+                    LegendRow(state.label or state.name, _to_bytes(state.colour), int(n), species.name)
                     for state, n in zip(species.machines[0].states, counts, strict=False)
                 ]
         return tuple(crowds), tuple(legend)
@@ -218,12 +218,12 @@ class Gallery:
             ids=ids,
             velocity=np.asarray(arrays["v"], np.float64)[rows] if "v" in arrays else None,
             worn=body,
-            plays=(*body.idling(ids, frame * self.dt), *(machines_of(species, arrays, count) or ())),
+            plays=(*body.idle_clips(ids, frame * self.dt), *(machines_of(species, arrays, count) or ())),
             feet=feet_of(species.name, arrays, count, 0 if body.legs is None else body.legs.count),
-            driven=driven(species, arrays, np.asarray(ids, np.int64), self.manifest.seed),
+            driven=driven_values(species, arrays, np.asarray(ids, np.int64), self.manifest.seed),
         )
 
-    def _dressed(self, crowd: Crowd, number: int, arrays: Arrays) -> list[Crowd]:
+    def _split_by_layers(self, crowd: Crowd, number: int, arrays: Arrays) -> list[Crowd]:
         """Return one crowd for each set of layers that some agents wear."""
         masks = worn_masks(self.manifest.species[number], arrays, len(crowd.position))
         sets = [int(mask) for mask in np.unique(masks)] or [0]
@@ -238,13 +238,13 @@ class Gallery:
         if (number, mask) not in self._worn:
             if number not in self._definitions:
                 self._definitions[number] = self._definition(species)
-            clips = tuple(Played(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
+            clips = tuple(PlayedClip(*(getattr(clip, name) for name in ClipEntry.model_fields)) for clip in species.clips)
             self._worn[number, mask] = PosedBody(self._definitions[number], clips, layers_of(species, mask))
         return self._worn[number, mask]
 
     def _definition(self, species: SpeciesEntry) -> Definition:
         if species.definition is None:
-            return library_body(species.body if species.body in BODY_WORDS else body_of(species.name))
+            return library_body(species.body if species.body in BODY_WORDS else body_for_species(species.name))
         try:
             return definition_of(self.manifest, self.static, species.definition)
         except BodyError as why:
@@ -257,7 +257,7 @@ class Gallery:
         if not species.feelers or crowd.ids is None or not len(crowd.position):
             return crowd
         ahead, up = (turned(crowd.orient, np.tile(axis, (len(crowd.position), 1))) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0)))
-        lines = [rays(entry, crowd.position, ahead, up, crowd.scale) for entry in species.feelers]
+        lines = [feeler_rays(entry, crowd.position, ahead, up, crowd.scale) for entry in species.feelers]
         return replace(crowd, feelers=np.concatenate(lines))
 
     def _items(self, arrays: Arrays) -> tuple[Item, ...]:
@@ -267,14 +267,14 @@ class Gallery:
             positions = group.position if moved is None else [three(place) for place in moved]
             for number, (name, position, radius) in enumerate(zip(group.names, positions, group.radius, strict=True)):
                 look = group.looks[number] if number < len(group.looks) else None
-                shape = cast(Shape, shape_of(group.name, name))
+                shape = cast(Shape, item_shape(group.name, name))
                 if look == "none" or (shape == "none" and look is not None):
                     shape = "none" if look == "none" else "sphere"  # a place that is meant is seen where the scene says of what
-                left = self._left(group.name, group.attributes, number, arrays)
+                left = self._share_left(group.name, group.attributes, number, arrays)
                 items.append(Item(name, position, radius, left, shape, None if look == "none" else look))
         return tuple(items)
 
-    def _left(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
+    def _share_left(self, group: str, attributes: tuple[str, ...], number: int, arrays: Arrays) -> float:
         """Return the share of its initial amount that an item still has; 1 for an item that started with nothing."""
         for attribute in attributes:
             key = f"items.{group}.{attribute}"
@@ -295,11 +295,11 @@ class Gallery:
                     positions = np.concatenate([positions, np.asarray(added, np.float64)])
                 strength = np.zeros(len(positions))
                 strength[cells] = values
-                full = self._given.get(field.name) or self._strongest().get(field.name) or None
+                full = self._given.get(field.name) or self._full_strengths().get(field.name) or None
                 trails.append(Trail(field.name, positions, strength, field.cell, _DYES[number % len(_DYES)], full))
         return tuple(trails)
 
-    def _strongest(self) -> dict[str, float]:
+    def _full_strengths(self) -> dict[str, float]:
         """Return the strength drawn strongest, by field. It is the same for the complete cache, so that changes of scent are
         visible."""
         if self._full is None:
@@ -312,7 +312,7 @@ class Gallery:
                     continue
                 for field in self.manifest.fields:
                     values = np.asarray(arrays.get(f"field.{field.name}.values", ()), np.float64)
-                    self._full[field.name] = max(self._full.get(field.name, 0.0), robust_full(values))
+                    self._full[field.name] = max(self._full.get(field.name, 0.0), robust_full_strength(values))
         return self._full
 
     def _grain(self, first: Arrays) -> float | None:
@@ -334,7 +334,7 @@ def _rows_of(number: int, arrays: Arrays) -> NDArray[np.intp]:
     return np.flatnonzero(np.asarray(arrays["species"]) == number) if "species" in arrays else np.arange(len(arrays["P"]))
 
 
-def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
+def _split_chosen(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
     """Return the crowd, or the given agents and the others as two crowds. Only the first has ids and velocities to show."""
     if not agents or crowd.ids is None:
         return [crowd]
@@ -343,6 +343,6 @@ def _parted(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:
     return [selected, replace(others, ids=None, velocity=None)]
 
 
-def _bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:
+def _to_bytes(colour: tuple[float, float, float]) -> tuple[int, int, int]:
     r, g, b = (round(255 * min(max(part, 0.0), 1.0)) for part in colour)
     return r, g, b

@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.agents.transforms import product, unit_quaternion
+from antdsl.bodies.agents.transforms import rotation_product, unit_quaternion
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.cache.pose_arrays import machines_of
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.numbered_files import numbered
+from antdsl.outputs.numbered_files import numbered_path
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import write_atomically
 
@@ -40,18 +40,18 @@ def export_geo(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
     for frame in frames:
         arrays = gallery.cache.frame(frame)
         text = json.dumps(_geometry(gallery, frame, arrays), separators=(",", ":"), allow_nan=False)
-        write_atomically(numbered(path, frame), (text + "\n").encode("ascii"), sync=False)
+        write_atomically(numbered_path(path, frame), (text + "\n").encode("ascii"), sync=False)
 
 
 def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
     manifest, count = gallery.manifest, len(arrays["P"])
-    points = [_numbers(name, values, kind) for name, (values, kind) in _of_points(gallery, frame, arrays).items()]
-    points += [_strings(name, table, indices) for name, (table, indices) in _names(gallery, arrays).items()]
+    points = [_numbers(name, values, kind) for name, (values, kind) in _point_attributes(gallery, frame, arrays).items()]
+    points += [_strings(name, table, indices) for name, (table, indices) in _text_attributes(gallery, arrays).items()]
     global_attributes = [
         _numbers("fps", np.array([1 / gallery.dt])), _numbers("meters_per_unit", np.array([UNIT_MM[manifest.units] / 1000])),
     ]  # fmt: skip
     if gallery.origin.any():
-        global_attributes.append(_numbers("origin", _upright(gallery.origin[None], manifest.up == "z"), storage="fpreal64"))
+        global_attributes.append(_numbers("origin", _to_y_up(gallery.origin[None], manifest.up == "z"), storage="fpreal64"))
     return [
         "fileversion", "18.5.0", "hasindex", False, "pointcount", count, "vertexcount", 0, "primitivecount", 0,
         "info", {"software": f"antdsl {manifest.antdsl}", "scene": manifest.scene, "frame": frame},
@@ -60,16 +60,16 @@ def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
     ]  # fmt: skip
 
 
-def _of_points(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
+def _point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
     """Return the numeric attributes of agents, each with its kind of vector."""
     z_up, count = gallery.manifest.up == "z", len(arrays["P"])
     turn = unit_quaternion(np.asarray(arrays["orient"], np.float64))
-    attributes = {"P": (_upright(arrays["P"], z_up), "point")}
+    attributes = {"P": (_to_y_up(arrays["P"], z_up), "point")}
     if "v" in arrays:
-        attributes["v"] = (_upright(arrays["v"] + arrays.get("v_ground", np.float32(0)), z_up), "vector")
-    attributes["w"] = (_upright(_spin(gallery, frame, arrays, turn), z_up), "vector")
-    facing = product(turn, np.broadcast_to(_FROM_Z, turn.shape))
-    attributes["orient"] = (product(np.broadcast_to(_TO_Y, turn.shape), facing) if z_up else facing, "quaternion")
+        attributes["v"] = (_to_y_up(arrays["v"] + arrays.get("v_ground", np.float32(0)), z_up), "vector")
+    attributes["w"] = (_to_y_up(_angular_velocity(gallery, frame, arrays, turn), z_up), "vector")
+    facing = rotation_product(turn, np.broadcast_to(_FROM_Z, turn.shape))
+    attributes["orient"] = (rotation_product(np.broadcast_to(_TO_Y, turn.shape), facing) if z_up else facing, "quaternion")
     attributes["pscale"] = (np.asarray(arrays["pscale"], np.float64), "")
     if "Cd" in arrays:
         attributes["Cd"] = (np.asarray(arrays["Cd"], np.float64), "color")
@@ -81,10 +81,10 @@ def _of_points(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[
     return {name: (np.nan_to_num(values), kind) for name, (values, kind) in attributes.items()} | _clip_numbers(gallery, arrays)
 
 
-def _names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
+def _text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
     """Return the text attributes of agents: a table of texts, and the index of each agent's, -1 for none."""
     manifest, count = gallery.manifest, len(arrays["P"])
-    which = _which(arrays)
+    which = _species_numbers(arrays)
     species = [entry.name for entry in manifest.species]
     ids = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(count)
     tables = {
@@ -102,7 +102,7 @@ def _names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArr
 def _clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
     """Return `clipN_time` in seconds and `clipN_weight` of the clips that each agent plays."""
     attributes: dict[str, tuple[NDArray[Any], str]] = {}
-    for number, entry, rows, machines in _players(gallery, arrays):
+    for number, entry, rows, machines in _clip_players(gallery, arrays):
         seconds = _seconds(gallery, number, entry)
         for slot, (clip, turns, weight) in enumerate(_slots(machines, len(rows))):
             for name, values in (("time", turns * seconds[clip]), ("weight", weight)):
@@ -114,7 +114,7 @@ def _clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[A
 def _clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
     """`clipN`, the name of a clip, and `clipN_group`, the transform group that it moves."""
     attributes: dict[str, tuple[list[str], NDArray[np.int64]]] = {}
-    for _, entry, rows, machines in _players(gallery, arrays):
+    for _, entry, rows, machines in _clip_players(gallery, arrays):
         for slot, (clip, _, _) in enumerate(_slots(machines, len(rows))):
             for name, texts in (("", [each.name for each in entry.clips]), ("_group", [each.on for each in entry.clips])):
                 table, indices = attributes.setdefault(f"clip{slot}{name}", ([], np.full(len(arrays["P"]), -1, np.int64)))
@@ -123,11 +123,11 @@ def _clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], 
     return attributes
 
 
-def _players(gallery: Gallery, arrays: Arrays) -> list[tuple[int, SpeciesEntry, NDArray[np.intp], tuple[MachineClips, ...]]]:
+def _clip_players(gallery: Gallery, arrays: Arrays) -> list[tuple[int, SpeciesEntry, NDArray[np.intp], tuple[MachineClips, ...]]]:
     """Return the species that play clips: number, entry, rows and the clips of their machines."""
     players = []
     for number, entry in enumerate(gallery.manifest.species):
-        rows = np.flatnonzero(_which(arrays) == number)
+        rows = np.flatnonzero(_species_numbers(arrays) == number)
         machines = machines_of(entry, arrays, len(rows))
         if machines and entry.clips:
             players.append((number, entry, rows, machines))
@@ -161,11 +161,11 @@ def _seconds(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
     return np.array([*(clips[each.name].duration if each.name in clips else 1.0 for each in entry.clips), 0.0])
 
 
-def _which(arrays: Arrays) -> NDArray[np.int64]:
+def _species_numbers(arrays: Arrays) -> NDArray[np.int64]:
     return np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(arrays["P"]), np.int64)
 
 
-def _spin(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:
+def _angular_velocity(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:
     """Return angular velocities (n, 3), radians per second: the rotation of each agent to the next frame, or from the frame
     before."""
     for other, sign in ((frame + 1, 1.0), (frame - 1, -1.0)):
@@ -173,10 +173,10 @@ def _spin(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:
             other_arrays = gallery.cache.frame(other, frozenset(["orient", "id", "species"]))
         except CacheError:
             continue
-        mine, theirs = _key(arrays), _key(other_arrays)
+        mine, theirs = _agent_keys(arrays), _agent_keys(other_arrays)
         _, rows, then = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
         was, goes = turn[rows], unit_quaternion(np.asarray(other_arrays["orient"], np.float64))[then]
-        step = product(goes, was * (-1, -1, -1, 1))
+        step = rotation_product(goes, was * (-1, -1, -1, 1))
         step = np.where(step[:, 3:] < 0, -step, step)
         sine = np.linalg.norm(step[:, :3], axis=1)
         angle = 2 * np.arctan2(sine, step[:, 3])
@@ -186,12 +186,12 @@ def _spin(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:
     return np.zeros((len(turn), 3))
 
 
-def _key(arrays: Arrays) -> NDArray[np.int64]:
+def _agent_keys(arrays: Arrays) -> NDArray[np.int64]:
     ids = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(len(arrays["orient"]))
     return ids * 4096 + (np.asarray(arrays["species"], np.int64) if "species" in arrays else 0)
 
 
-def _upright(vectors: NDArray[Any], z_up: bool) -> Floats:
+def _to_y_up(vectors: NDArray[Any], z_up: bool) -> Floats:
     xyz = np.asarray(vectors, np.float64)
     return np.stack([xyz[:, 0], xyz[:, 2], -xyz[:, 1]], axis=1) if z_up else xyz
 

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import STATE
-from antdsl.bodies.agents.poses import square
+from antdsl.bodies.agents.poses import square_matrices
 from antdsl.bodies.agents.transforms import parts_of
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.files.gltf_writer import GltfWriter, ShapeParts
@@ -22,7 +22,7 @@ from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.gltf_stage import Stage
 from antdsl.outputs.numbered_files import NoExport
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.poses_export import FEWER, NONE, Worn, placement_matrices, worn_crowds
 from antdsl.whole import write_atomically
@@ -39,12 +39,12 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str
 
     Raises NoExport beyond the limits of glTF, CacheError for a damaged frame, OSError where nothing can be written."""
     frames = list(frames)
-    crowd = _Crowd.gathered(gallery, frames)
+    crowd = _Crowd.gather(gallery, frames)
     stage = Stage(gallery, frames)
     for key, body in crowd.bodies.items():
-        _written(stage, body, crowd.colours(key), key[0])
+        _write_agents(stage, body, crowd.colours(key), key[0])
     for frame in frames:
-        stage.note(gallery.picture(frame))
+        stage.add_picture(gallery.picture(frame))
     stage.finish()
     write_atomically(path, stage.writer.bytes(path.suffix.lower() == ".gltf", scene=0, scenes=[stage.scene]))
     return [*crowd.notes(), *stage.notes]
@@ -73,7 +73,7 @@ class _Crowd:
     turned: set[str] = field(default_factory=set)  # species with colour changes
 
     @staticmethod
-    def gathered(gallery: Gallery, frames: list[int]) -> _Crowd:
+    def gather(gallery: Gallery, frames: list[int]) -> _Crowd:
         bodies: dict[Worn, _Body] = {}
         output = _Crowd(bodies)
         size = 0
@@ -94,7 +94,7 @@ class _Crowd:
         body.frame.append(np.full(len(crowd.position), number, np.int64))
         body.ids.append(np.asarray(crowd.ids, np.int64))
         body.place.append(placement_matrices(crowd, body.worn.definition))
-        body.local.append(square(poses.local))
+        body.local.append(square_matrices(poses.local))
         body.channels.append(np.ascontiguousarray(poses.channels))
         for one, colour in zip(body.ids[-1].tolist(), np.asarray(crowd.colour).tolist(), strict=True):
             if body.colour.setdefault(one, tuple(colour)) != tuple(colour):
@@ -115,7 +115,7 @@ class _Crowd:
         return messages
 
 
-def _written(stage: Stage, body: _Body, colours: dict[int, tuple[float, ...]], species: str) -> None:
+def _write_agents(stage: Stage, body: _Body, colours: dict[int, tuple[float, ...]], species: str) -> None:
     """The nodes, skins and animation of all agents with one body."""
     worn = body.worn
     rig, writer = worn.definition.rig, stage.writer
@@ -124,7 +124,7 @@ def _written(stage: Stage, body: _Body, colours: dict[int, tuple[float, ...]], s
     local = np.concatenate(body.local).astype(np.float64)
     move, turn, size, shear = parts_of(local)
     if shear.size and np.abs(shear).max() > _SHEAR:
-        stage.say("a shear of joints is left out: glTF has none")
+        stage.add_note("a shear of joints is left out: glTF has none")
     order = np.lexsort((frame, ids))
     shapes = [_shape(writer, worn, binding.shape) for binding in worn.bindings]
     meshes: dict[tuple[int, tuple[float, ...]], int] = {}
@@ -142,7 +142,9 @@ def _written(stage: Stage, body: _Body, colours: dict[int, tuple[float, ...]], s
                 meshes[key] = parts.mesh(binding.shape, _materials(stage, worn, colours[one]))
             follows = "skinning" in binding.deformer
             at = None if follows else nodes.get(binding.transform, top)
-            node = stage.body(at, f"{species}_{one}_{binding.shape}", meshes[key], parts.skin(nodes, top) if follows else None)
+            node = stage.body(
+                at, f"{species}_{one}_{binding.shape}", meshes[key], parts.add_skin(nodes, top) if follows else None
+            )
             if parts.targets is not None and "blendshape" in binding.deformer:
                 stage.weights(node, frame[rows], parts.targets.weights(channels[rows]))
 
@@ -155,7 +157,7 @@ def _shape(writer: GltfWriter, worn: PosedBody, name: str) -> ShapeParts:
 
 def _materials(stage: Stage, worn: PosedBody, colour: tuple[float, ...]) -> dict[str, int]:
     """Return the numbers of a body's materials. Triangles without a material have the agent's state colour."""
-    state = tuple(float(part) for part in decoded(np.array(colour)))
+    state = tuple(float(part) for part in decode_srgb(np.array(colour)))
     own: dict[str, Any] = dict(worn.definition.materials)
     return {
         name: stage.material(name or STATE, own[name] if name in own and name != STATE else state)

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import __version__
-from antdsl.bodies.agents.transforms import one_sign, rotation_of
+from antdsl.bodies.agents.transforms import align_signs, rotation_of
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.files.gltf_writer import INDICES, VERTICES, GltfWriter
 from antdsl.bodies.shapes import placed
 from antdsl.numerics.vector_rows import unit_or
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid
 from antdsl.scene.model import UNIT_MM
 
@@ -63,7 +63,7 @@ class Stage:
         self.scene: dict[str, Any] = {"nodes": [self._world]}
         self._camera()
 
-    def say(self, sentence: str) -> None:
+    def add_note(self, sentence: str) -> None:
         """Note what is left out, once."""
         if sentence not in self.notes:
             self.notes.append(sentence)
@@ -113,7 +113,7 @@ class Stage:
     def _keys(self, node: int, frames: NDArray[np.int64], move: Floats | None, turn: Floats | None, size: Floats | None) -> None:
         """Write constant components as values of the node, others as keys."""
         entry = self.writer.entry("nodes", node)
-        turn = None if turn is None else one_sign(turn)
+        turn = None if turn is None else align_signs(turn)
         for path, values, still in (
             ("translation", move, (0, 0, 0)), ("rotation", turn, (0, 0, 0, 1)), ("scale", size, (1, 1, 1)),
         ):  # fmt: skip
@@ -150,7 +150,7 @@ class Stage:
 
     # ---- the world
 
-    def note(self, picture: Picture) -> None:
+    def add_picture(self, picture: Picture) -> None:
         """Add what stands in a frame beside agents."""
         frame = self.frames.index(picture.frame) if picture.frame is not None else 0
         dug = {mesh.name for mesh in self.gallery.manifest.meshes if mesh.kind == "solid"}
@@ -168,9 +168,9 @@ class Stage:
             node = self.body(self._world, solid.name, self._mesh(solid.name, vertices, solid.faces, None), None)
             self._solids[solid.name] = _Moving(node), vertices
         moving, first = self._solids[solid.name]
-        turn, move, off = _rigid(first, vertices)
+        turn, move, off = _fit_rigid(first, vertices)
         if off > _RIGID * max(float(np.ptp(first, axis=0).max()), 1e-12):
-            self.say(f"`{solid.name}` changes its shape, and is written as it is in frame {self.frames[0]}")
+            self.add_note(f"`{solid.name}` changes its shape, and is written as it is in frame {self.frames[0]}")
             return
         moving.frames.append(frame)
         moving.moves.append(move)
@@ -183,7 +183,7 @@ class Stage:
             points, faces, colours = placed(item.shape)
             if self.gallery.manifest.up == "z":
                 points = np.stack([points[:, 0], -points[:, 2], points[:, 1]], axis=1)
-            node = self.body(self._world, item.name, self._mesh(item.name, points, faces, decoded(colours)), None)
+            node = self.body(self._world, item.name, self._mesh(item.name, points, faces, decode_srgb(colours)), None)
             self._items[number] = _Moving(node)
         moving = self._items[number]
         moving.frames.append(frame)
@@ -213,9 +213,9 @@ class Stage:
             self._keys(moving.node, np.array(moving.frames), np.array(moving.moves), None, np.array(moving.sizes))
         for name, solid in self._dug.items():
             self.body(self._world, name, self._mesh(name, solid.vertices, solid.faces, None), None)
-            self.say(f"`{name}` is written as it is in frame {self.frames[-1]}")
+            self.add_note(f"`{name}` is written as it is in frame {self.frames[-1]}")
         if self.gallery.manifest.fields:
-            self.say("fields are left out")
+            self.add_note("fields are left out")
         if self._channels:
             self.writer.add("animations", {"name": "shot", "samplers": self._samplers, "channels": self._channels})
 
@@ -243,11 +243,11 @@ class Stage:
             moves.append(eye)
             turns.append(rotation_of(np.stack([side, np.cross(back, side), back], axis=1)))
             if camera.focal != first.focal:
-                self.say("the camera's focal length is that of the first frame")
+                self.add_note("the camera's focal length is that of the first frame")
         self._keys(node, np.arange(len(camera_frames)), np.array(moves), np.array(turns), None)
 
 
-def _rigid(first: Floats, then: Floats) -> tuple[Floats, Floats, float]:
+def _fit_rigid(first: Floats, then: Floats) -> tuple[Floats, Floats, float]:
     """Return the rotation (x y z w) and translation that best map points from their first to their later positions, and the
     largest error (Kabsch, 1976)."""
     if np.array_equal(first, then):

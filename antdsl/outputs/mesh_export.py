@@ -11,11 +11,11 @@ import numpy as np
 from antdsl.bodies.body import turned
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.mesh_files import Part, write_mesh
-from antdsl.outputs.numbered_files import NoExport, numbered
-from antdsl.outputs.pictures.light import decoded, encoded
+from antdsl.outputs.numbered_files import NoExport, numbered_path
+from antdsl.outputs.pictures.light import decode_srgb, encode_srgb
 from antdsl.outputs.pictures.model import Crowd
 from antdsl.outputs.poses_export import FEWER, NONE, Worn, worn_crowds
-from antdsl.outputs.usd.values import ROOT, Out, Samples, box, disk_failures, identifier, mesh, root, vectors
+from antdsl.outputs.usd.values import ROOT, Samples, StageOutput, box, disk_failures, identifier, mesh, root, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import atomic_path
@@ -32,9 +32,9 @@ def export_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[s
     Raises NoExport if no agent is in all frames or there are too many points, CacheError for a damaged frame, OSError if writing
     fails."""
     frames = list(frames)
-    common_ids, notes = _throughout(gallery, frames)
+    common_ids, notes = _common_agents(gallery, frames)
     for frame in frames:
-        write_mesh(numbered(path, frame), list(_posed(gallery, frame, common_ids)), gallery.origin)
+        write_mesh(numbered_path(path, frame), list(_posed_meshes(gallery, frame, common_ids)), gallery.origin)
     return notes
 
 
@@ -42,7 +42,7 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     """Write the meshes as USD: one mesh per agent, `/World/SPECIES/agent_ID`, with points and normals over time. Raises UsdError
     without usd-core."""
     frames = list(frames)
-    common_ids, notes = _throughout(gallery, frames)
+    common_ids, notes = _common_agents(gallery, frames)
     usd, geom = pxr("Usd"), pxr("UsdGeom")
     with disk_failures(path), atomic_path(path, path.suffix) as part:
         stage = usd.Stage.CreateNew(str(part))
@@ -53,9 +53,9 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
         stage.SetStartTimeCode(frames[0])
         stage.SetEndTimeCode(frames[-1])
         stage.SetDefaultPrim(root(stage, gallery.origin).GetPrim())
-        out, samples = Out(stage), dict[str, tuple[Samples, ...]]()
+        out, samples = StageOutput(stage), dict[str, tuple[Samples, ...]]()
         for frame in frames:
-            for each in _posed(gallery, frame, common_ids):
+            for each in _posed_meshes(gallery, frame, common_ids):
                 if each.name not in samples:
                     samples[each.name] = _usd_mesh(out, each)
                 points, extent, normals = samples[each.name]
@@ -67,19 +67,19 @@ def export_usd_meshes(gallery: Gallery, frames: Iterable[int], path: Path) -> li
     return notes
 
 
-def _usd_mesh(out: Out, part: Part) -> tuple[Samples, ...]:
+def _usd_mesh(out: StageOutput, part: Part) -> tuple[Samples, ...]:
     species, _, number = part.name.rpartition("_")
     pxr("UsdGeom").Xform.Define(out.stage, f"{ROOT}/{identifier(species)}")
     usd_mesh = mesh(out.stage, f"{ROOT}/{identifier(species)}/agent_{number}", part.points, part.faces, part.normals)
     assert part.colours is not None
-    usd_mesh.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(part.colours)))
+    usd_mesh.CreateDisplayColorPrimvar("vertex").Set(vectors(decode_srgb(part.colours)))
     attributes = (usd_mesh.GetPointsAttr(), usd_mesh.GetExtentAttr(), usd_mesh.GetNormalsAttr())
     for attribute in attributes:
         attribute.Clear()
     return tuple(out.samples(attribute, vectors, np.float32) for attribute in attributes)
 
 
-def _throughout(gallery: Gallery, frames: list[int]) -> tuple[dict[Worn, set[int]], list[str]]:
+def _common_agents(gallery: Gallery, frames: list[int]) -> tuple[dict[Worn, set[int]], list[str]]:
     """Return the ids of agents that are in all frames in the same layers, by species and layers, and messages."""
     common_ids: dict[Worn, set[int]] = {}
     all_ids: dict[Worn, set[int]] = {}
@@ -98,7 +98,7 @@ def _throughout(gallery: Gallery, frames: list[int]) -> tuple[dict[Worn, set[int
     return common_ids, [f"{left} agents are not there in all of these frames, and are left out"] if left else []
 
 
-def _posed(gallery: Gallery, frame: int, common_ids: dict[Worn, set[int]]) -> Iterator[Part]:
+def _posed_meshes(gallery: Gallery, frame: int, common_ids: dict[Worn, set[int]]) -> Iterator[Part]:
     """The posed mesh of each agent, by species and id."""
     parts: list[tuple[str, int, Part]] = []
     total = 0
@@ -108,18 +108,18 @@ def _posed(gallery: Gallery, frame: int, common_ids: dict[Worn, set[int]]) -> It
         if total > _MOST:
             raise NoExport(f"the meshes of so many agents have more than {_MOST:,} points a frame", FEWER)
         for a in range(0, len(rows), _BATCH):
-            parts += _batch(key[0], crowd, rows[a : a + _BATCH])
+            parts += _pose_batch(key[0], crowd, rows[a : a + _BATCH])
     return (part for _, _, part in sorted(parts, key=lambda each: each[:2]))
 
 
-def _batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, Part]]:
+def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[tuple[str, int, Part]]:
     worn = crowd.worn
     assert crowd.ids is not None
     points, normals = crowd.posed(worn, rows)
     orient = np.asarray(crowd.orient, np.float64)[rows]
     placed = turned(orient, points.astype(np.float64)) * crowd.scale[rows, None, None] + crowd.position[rows, None]
     across = turned(orient, normals.astype(np.float64))
-    own, tint = encoded(worn.colours(crowd.driven.rows(rows))) / 255.0, worn.tint[:, None]
+    own, tint = encode_srgb(worn.colours(crowd.driven.rows(rows))) / 255.0, worn.tint[:, None]
     parts = []
     for k, row in enumerate(rows.tolist()):
         number, colours = int(crowd.ids[row]), own[k % len(own)] * (1 - tint) + tint * crowd.colour[row]

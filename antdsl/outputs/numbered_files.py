@@ -14,7 +14,7 @@ class NoExport(Exception):
         self.help = help
 
 
-def numbered(path: Path, frame: int) -> Path:
+def numbered_path(path: Path, frame: int) -> Path:
     """Return the file of a frame. Its number replaces `####`, with as many digits, or is inserted before the suffix, with
     four."""
     match = re.search("#+", path.stem)

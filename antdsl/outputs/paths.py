@@ -95,16 +95,16 @@ class Walks:
         return _FrameAgents(place[order].astype(np.float32), ids[order], species[order])
 
 
-def followed(now: Crowd, later: Crowd) -> Crowd:
+def follow_agents(now: Crowd, later: Crowd) -> Crowd:
     """Return the agents of `now`, in its order, with their values in `later`, which may have another order. Agents missing in
     `later` are unchanged. Both have ids."""
     own, ids = np.asarray(now.ids), np.asarray(later.ids)
     order = np.argsort(ids, kind="stable")
-    at, is_present = matched(own, ids[order])
+    at, is_present = match_ids(own, ids[order])
     rows = len(ids) + np.arange(len(own))
     rows[is_present] = order[at[is_present]]
     joined_fields = {
-        name: _joined(getattr(later, name), getattr(now, name)) for name in ("position", "orient", "plays", "feet", "driven")
+        name: _join_rows(getattr(later, name), getattr(now, name)) for name in ("position", "orient", "plays", "feet", "driven")
     }
     joined_crowd = replace(now, **joined_fields, paths=None)
     return replace(
@@ -118,7 +118,7 @@ def followed(now: Crowd, later: Crowd) -> Crowd:
     )
 
 
-def matched(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+def match_ids(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
     """Return the index of each id among others, which ascend, and whether it is among them."""
     if len(ids) == len(others) and np.array_equal(ids, others):
         return np.arange(len(ids)), np.ones(len(ids), np.bool_)
@@ -126,16 +126,16 @@ def matched(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[
     return at, others[at] == ids if len(others) else np.zeros(len(ids), np.bool_)
 
 
-def _joined(one: Any, other: Any) -> Any:
+def _join_rows(one: Any, other: Any) -> Any:
     """Return the rows of both, concatenated; None where one of them is None."""
     if one is None or other is None:
         return None
     if isinstance(one, np.ndarray):
         return np.concatenate([one, other])
     if isinstance(one, Mapping):
-        return {name: _joined(each, other[name]) for name, each in one.items() if name in other}
+        return {name: _join_rows(each, other[name]) for name, each in one.items() if name in other}
     if isinstance(one, tuple):
-        return tuple(_joined(a, b) for a, b in zip(one, other, strict=False))
+        return tuple(_join_rows(a, b) for a, b in zip(one, other, strict=False))
     if not is_dataclass(one) or isinstance(one, type):
         return one  # one for all rows
-    return type(one)(*(_joined(getattr(one, field.name), getattr(other, field.name)) for field in fields(one)))
+    return type(one)(*(_join_rows(getattr(one, field.name), getattr(other, field.name)) for field in fields(one)))

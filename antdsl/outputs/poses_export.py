@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.poses import square
-from antdsl.bodies.body import rotation
+from antdsl.bodies.agents.poses import square_matrices
+from antdsl.bodies.body import rotation_matrices
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.npz import to_bytes
 from antdsl.outputs.gallery import Gallery
@@ -91,8 +91,8 @@ def worn_crowds(picture: Picture) -> list[tuple[Worn, Crowd, PosedBody]]:
 def placement_matrices(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
     """Return matrices float64[n, 4, 4] from the space of a definition to the scene (relative to its origin), one per agent."""
     matrices = np.tile(np.eye(4), (len(crowd.position), 1, 1))
-    matrices[:, :3, :3] = rotation(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
-    matrices[:, :3] = matrices[:, :3] @ body.base()
+    matrices[:, :3, :3] = rotation_matrices(np.asarray(crowd.orient, np.float64)) * np.asarray(crowd.scale)[:, None, None]
+    matrices[:, :3] = matrices[:, :3] @ body.base_matrix()
     matrices[:, :3, 3] += crowd.position
     return matrices
 
@@ -103,8 +103,8 @@ def _add(rows: _Rows, crowd: Crowd, worn: PosedBody, origin: NDArray[np.float64]
     place = placement_matrices(crowd, worn.definition)
     place[:, :3, 3] += origin
     arrays: dict[str, NDArray[Any]] = {
-        "id": np.asarray(crowd.ids, np.int64), "place": place, "world": square(poses.world),
-        "local": square(poses.local), "channels": np.ascontiguousarray(poses.channels),
+        "id": np.asarray(crowd.ids, np.int64), "place": place, "world": square_matrices(poses.world),
+        "local": square_matrices(poses.local), "channels": np.ascontiguousarray(poses.channels),
     }  # fmt: skip
     for name, array in arrays.items():
         rows.arrays.setdefault(name, []).append(array)

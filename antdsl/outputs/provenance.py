@@ -40,7 +40,7 @@ def command(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]
 
     It names no folder, and no option that does not change results, such as `--out` and `--threads`. So the same run gives the
     same bytes anywhere, and a cache reveals nothing about the machine."""
-    return shlex.join(_words(scene, frames, seed, inputs))[:_LONGEST]
+    return shlex.join(_command_words(scene, frames, seed, inputs))[:_LONGEST]
 
 
 def resume_command(folder: Path) -> str:
@@ -51,13 +51,13 @@ def resume_command(folder: Path) -> str:
     except ManifestError:
         return f"antdsl run SCENE --out {shlex.quote(str(folder))} --resume"
     scene = os.path.normpath(folder / manifest.scene_path) if manifest.scene_path is not None else manifest.scene
-    words = _words(scene, FrameRange(manifest.first, manifest.last), manifest.seed, manifest.inputs)
+    words = _command_words(scene, FrameRange(manifest.first, manifest.last), manifest.seed, manifest.inputs)
     roots = sorted({match[1] for name in manifest.inputs if (match := GRANTED.fullmatch(name))})
     words += [word for name in roots for word in ("--root", f"{name}=FOLDER")]
     return printable(shlex.join([*words, "--out", str(folder), "--resume"])[:_LONGEST])
 
 
-def _words(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> list[str]:
+def _command_words(scene: str, frames: FrameRange, seed: int, inputs: Mapping[str, str]) -> list[str]:
     changes = [f"{name.removeprefix('--set ')}={text}" for name, text in inputs.items() if name.startswith("--set ")]
     sets = [word for change in changes for word in ("--set", change)]
     return ["antdsl", "run", scene, "--frames", f"{frames.first}..{frames.last}", "--seed", str(seed), *sets]
@@ -84,7 +84,7 @@ def _versions() -> Mapping[str, str]:
         "python": platform.python_version(),
         "numpy": np.__version__,
         "llvm": _llvm(),
-        "open3d": _installed("open3d", "open3d-cpu"),
+        "open3d": _installed_version("open3d", "open3d-cpu"),
         "platform": f"{platform.system()} {platform.machine()}",
     }
 
@@ -99,7 +99,7 @@ def _llvm() -> str:
     return f"{'.'.join(map(str, llvm.llvm_version_info))} (llvmlite {llvmlite.__version__})"
 
 
-def _installed(*names: str) -> str:
+def _installed_version(*names: str) -> str:
     """The version of the first of these packages that is installed; empty without any."""
     for name in names:
         try:

@@ -19,20 +19,20 @@ from antdsl.outputs.cache.cache_writer import (
     CacheWriter,
     DifferentInputs,
     IntactPart,
+    intact_part,
     prepare_folder,
     read_checkpoint,
-    whole_part,
 )
-from antdsl.outputs.cache.frames import FrameMaker, describe, static_arrays
+from antdsl.outputs.cache.frames import FrameMaker, make_manifest, static_arrays
 from antdsl.outputs.cache.hashes import Line
-from antdsl.outputs.cache.manifest import CameraEntry, Look, way_to
+from antdsl.outputs.cache.manifest import CameraEntry, Look, relative_path
 from antdsl.outputs.cache.places import scene_origin
 from antdsl.outputs.cache.solid_pieces import PieceMaker
 from antdsl.outputs.feelers import feelers_of
 from antdsl.outputs.provenance import provenance
 from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
-from antdsl.runtime import CheckpointError, Options, World, bind, emitted_since, feet_hash, restore, state_hash, step
+from antdsl.runtime import CheckpointError, Options, World, bind, feet_hash, restore, state_hash, step, take_emissions
 from antdsl.runtime.profiling import Meter
 from antdsl.scene.model import Camera, HeightThing, MeshThing, SceneModel, UsdThing, millimetres
 from antdsl.scene.setting import CameraData
@@ -68,11 +68,11 @@ class Recording:
     def complete(self) -> bool:
         return self.frame == self.shot.frames.last
 
-    def spend(self, what: str, since: float) -> None:
+    def add_time(self, what: str, since: float) -> None:
         """Count the time since `since` under a name."""
         self.seconds[what] = self.seconds.get(what, 0.0) + time.perf_counter() - since
 
-    def written(self, measures: Mapping[str, Any]) -> None:
+    def add_measures(self, measures: Mapping[str, Any]) -> None:
         """Record the results of a frame that was written."""
         for of, name in ((self.frame_seconds, "made"), (self.behind, "seconds")):
             for what, seconds in measures.get(name, {}).items():
@@ -93,26 +93,26 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
     intact: IntactPart | None = None
     if resume:
         try:
-            intact = whole_part(folder, inputs, shot.frames.first, shot.frames.last)
+            intact = intact_part(folder, inputs, shot.frames.first, shot.frames.last)
         except DifferentInputs as why:
-            raise _chosen_otherwise(shot, inputs, why) from None
+            raise _with_choices(shot, inputs, why) from None
         if intact is None and any((folder / "frames").glob("frame.*.npz")):
             raise NothingToResume(f"`{folder}` has frames and no readable manifest")
     prepare_folder(folder, force=force)
     began = time.perf_counter()
     world = bind(shot.plan, shot.setting, options)
     recording = Recording(shot, folder, world, inputs, static=static_arrays(world, shot.setting))
-    recording.spend("bind", began)
+    recording.add_time("bind", began)
     if intact is not None:
         if intact.cache.manifest.origin != scene_origin(world):
             raise NothingToResume(f"`{folder}` was written by an antdsl that counts places from another origin")
-        _go_on(recording, intact, options)
+        _resume(recording, intact, options)
     if recording.resumed_from is None:
         start_from_cache(shot, recording.world)
     return recording
 
 
-def _chosen_otherwise(shot: Shot, inputs: Mapping[str, str], problem: DifferentInputs) -> DifferentInputs:
+def _with_choices(shot: Shot, inputs: Mapping[str, str], problem: DifferentInputs) -> DifferentInputs:
     """Return the exception with messages for the seed, the first frame and `--set`, where these differ."""
     then, scene, names = problem.manifest, shot.scene, list(problem.names)
     choices = []
@@ -130,11 +130,11 @@ def _chosen_otherwise(shot: Shot, inputs: Mapping[str, str], problem: DifferentI
     return DifferentInputs(then, names, choices)
 
 
-def _go_on(recording: Recording, intact: IntactPart, options: Options) -> None:
+def _resume(recording: Recording, intact: IntactPart, options: Options) -> None:
     """Restore the world from the last good checkpoint, and record what was damaged and will be made again."""
     shot, lines, notes = recording.shot, intact.cache.lines(), [] if intact.broken is None else [intact.broken]
     for frame in intact.points:
-        why = _restored(recording, intact.cache, frame, lines[frame])
+        why = _restore(recording, intact.cache, frame, lines[frame])
         if why is None:
             recording.resumed_from = recording.frame = frame
             recording.hash = lines[frame].hash
@@ -144,7 +144,7 @@ def _go_on(recording: Recording, intact: IntactPart, options: Options) -> None:
         recording.surface_error = 0.0
         recording.world = bind(shot.plan, shot.setting, options)  # what is bad has been put into the one before
     if recording.resumed_from is not None:
-        notes += _damaged(recording, intact.cache, lines, recording.resumed_from)
+        notes += _damaged_checkpoints(recording, intact.cache, lines, recording.resumed_from)
     first = shot.frames.first if recording.resumed_from is None else recording.resumed_from + 1
     again = min(shot.frames.last, first if intact.last_frame is None else intact.last_frame)
     if not notes and recording.resumed_from is None and intact.last_frame is not None and intact.last_frame >= first:
@@ -161,7 +161,7 @@ def _go_on(recording: Recording, intact: IntactPart, options: Options) -> None:
     recording.notes = notes + [f"{why}; it is left as it is" for why in intact.cache.strays()]
 
 
-def _damaged(recording: Recording, cache: Cache, lines: Mapping[int, Line], limit: int) -> Iterator[str]:
+def _damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping[int, Line], limit: int) -> Iterator[str]:
     """Yield why checkpoints before a frame are unusable, and mark them for removal."""
     for frame in cache.checkpoints():
         why = cache.checkpoint_damage(frame, lines.get(frame)) if frame < limit else None
@@ -170,7 +170,7 @@ def _damaged(recording: Recording, cache: Cache, lines: Mapping[int, Line], limi
             yield f"{why}, and is removed"
 
 
-def _restored(recording: Recording, cache: Cache, frame: int, line: Line) -> str | None:
+def _restore(recording: Recording, cache: Cache, frame: int, line: Line) -> str | None:
     """Restore the world and the measurements from a checkpoint. Return why that is not possible, complete without context, or
     None."""
     world, path = recording.world, checkpoint_path(cache.folder, frame)
@@ -199,12 +199,12 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
     maker = FrameMaker(world, shot.program, model.output.attributes, pieces, model.output.events)
     stored_bodies = StoredBodies.of(shot.bodies, {line.species: line.body for line in model.crowd if line.body is not None})
     name = Path(shot.scene.source.path).name
-    manifest = describe(
+    manifest = make_manifest(
         world,
         shot.setting,
         version=shot.inputs["antdsl"],
         scene=name,
-        scene_path=recording.scene_path or way_to(Path(shot.scene.source.path), recording.folder),
+        scene_path=recording.scene_path or relative_path(Path(shot.scene.source.path), recording.folder),
         inputs=recording.inputs,
         units=model.units,
         up=model.up,
@@ -223,7 +223,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
         looks=looks_of(model),
     )
     made_with = partial(provenance, name, shot.frames, shot.setting.seed, recording.inputs)
-    with CacheWriter(recording.folder, manifest, made_with, recording.written) as writer:
+    with CacheWriter(recording.folder, manifest, made_with, recording.add_measures) as writer:
         static = {**recording.static, **stored_bodies.arrays}
         writer.begin(world, static, maker, recording.kept_lines, recording.damaged, recording.surface_error)
         if recording.resumed_from is None:
@@ -233,7 +233,7 @@ def record(recording: Recording, watch: Callable[[str, int], None] = lambda what
                 _advance(recording, "preroll")
                 watch("preroll", world.frame)
             world.motion.reset()
-            emitted_since(world)  # what was before the first frame is no event of it
+            take_emissions(world)  # what was before the first frame is no event of it
             world.timings.clear()
             world.worked.clear()
             _write(recording, writer)
@@ -257,10 +257,10 @@ def _advance(recording: Recording, what: str) -> None:
     if meter is not None:
         meter.end(recording.world)
     if "first_step" in recording.seconds:
-        recording.spend(what, began)
+        recording.add_time(what, began)
         recording.steps += what == "step"
     else:
-        recording.spend("first_step", began)
+        recording.add_time("first_step", began)
         recording.world.timings.clear()
         recording.world.worked.clear()
 
@@ -278,7 +278,7 @@ def _write(recording: Recording, writer: CacheWriter) -> None:
     if _is_checkpoint(recording, world.frame):
         writer.put_checkpoint(world)
     recording.frame = world.frame
-    recording.spend("hand_over", began)
+    recording.add_time("hand_over", began)
 
 
 def _camera(shot: Shot, origin: NDArray[np.float64]) -> CameraEntry | Literal["fit"] | None:

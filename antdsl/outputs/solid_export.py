@@ -14,7 +14,7 @@ from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.npz import to_bytes
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.mesh_files import Part, write_mesh
-from antdsl.outputs.numbered_files import NoExport, numbered
+from antdsl.outputs.numbered_files import NoExport, numbered_path
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import write_atomically
 
@@ -31,7 +31,7 @@ def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
         solids = dug.at(frame)
         if not solids:
             raise _NONE
-        write_mesh(numbered(path, frame), [Part(each.name, each.vertices, each.faces) for each in solids], gallery.origin)
+        write_mesh(numbered_path(path, frame), [Part(each.name, each.vertices, each.faces) for each in solids], gallery.origin)
 
 
 def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str]:
@@ -55,7 +55,7 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
         if points * 4 > limits.GIB:
             raise NoExport(f"the volume of `{name}` has {points:,} points, more than are written", "write it as a mesh: `.ply`")
         arrays |= {
-            f"{name}.distance": volume.dense() * np.float32(scale),
+            f"{name}.distance": volume.dense_distances() * np.float32(scale),
             f"{name}.origin": (np.asarray(bricks.origin, np.float64) + offset) * scale + gallery.origin,
             f"{name}.cell": np.array(bricks.voxel * scale),
             f"{name}.band": np.array([bricks.least * scale, bricks.most * scale]),

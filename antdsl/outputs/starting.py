@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from antdsl.bounded import blocks
+from antdsl.bounded import read_blocks
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import CacheError, checkpoint_path, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.cache.npz import FILE_BYTES
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, World, restore
-from antdsl.runtime.moving.moving_geometry import pose
+from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.scene.model import UNIT_MM
 from antdsl.scene.paths import PathRefused
 
@@ -54,7 +54,7 @@ def start_hash(shot: Shot) -> dict[str, str]:
             raise _missing(shot, folder) from None
         raise _error(shot, refused.code, str(refused), "cache", refused.help) from None
     try:
-        for block in blocks(handle, FILE_BYTES):
+        for block in read_blocks(handle, FILE_BYTES):
             hashed.update(block)
     except OSError:
         raise _missing(shot, folder) from None
@@ -89,7 +89,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
         raise _error(shot, "wrong-value", words, "cache", "begin with a cache of the same programs") from None
     shift = first - world.frame
     world.frame = first
-    pose(world, first)
+    pose_world(world, first)
     world.params = params
     world.transitions.clear()
     world.motion.reset()

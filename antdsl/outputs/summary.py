@@ -29,7 +29,7 @@ def summary(recording: Recording) -> dict[str, Any]:
             name: {attribute: float(amount.sum()) for attribute, amount in items.amounts.items()}
             for name, items in world.items.items()
         },
-        "carried": carried(recording),
+        "carried": carried_totals(recording),
         "faults": world.faults.count,
         "max_surface_error": recording.surface_error,
         "motion": world.motion.summary(),
@@ -52,7 +52,7 @@ def states(recording: Recording) -> dict[str, int]:
     return agent_counts
 
 
-def carried(recording: Recording) -> dict[str, float]:
+def carried_totals(recording: Recording) -> dict[str, float]:
     """Return sums over agents of attributes that items also have, by `species.attribute`: the amounts in transit between
     items."""
     import numpy as np

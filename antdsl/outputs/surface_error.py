@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import parallel
-from antdsl.outputs.cache.frame_loops import farthest
+from antdsl.outputs.cache.frame_loops import greatest_distance
 from antdsl.runtime import Population, World
 
 
@@ -19,14 +19,14 @@ def surface_error(world: World) -> float:
     for population in world.populations.values():
         if len(population):
             ground = world.ground.position(population.footing)
-            worst = max(worst, _worst(world, population, ground))
+            worst = max(worst, _greatest_error(world, population, ground))
     return worst
 
 
-def _worst(world: World, population: Population, ground: NDArray[np.float64]) -> float:
+def _greatest_error(world: World, population: Population, ground: NDArray[np.float64]) -> float:
     clearance, size = population.now.get("clearance", np.zeros(len(population), np.float32)), population.now["size"]
     if not world.solids:
-        work = partial(farthest, population.position, ground, clearance, size)
+        work = partial(greatest_distance, population.position, ground, clearance, size)
         return float(np.max(parallel.in_parts(work, len(population), world.options.threads, parallel.LIGHT)))
     x, y, z = (population.position.astype(np.float32) - ground).T
     distance = np.sqrt((x * x + y * y) + z * z)

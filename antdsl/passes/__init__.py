@@ -7,7 +7,7 @@ from collections.abc import Callable
 from antdsl.passes.drop_unused import drop_unused
 from antdsl.passes.fold import fold
 from antdsl.passes.hoist import hoist
-from antdsl.passes.keep import keep
+from antdsl.passes.keep import keep_senses
 from antdsl.passes.merge import merge
 from antdsl.passes.narrow import narrow
 from antdsl.plan.ir import Plan
@@ -19,7 +19,7 @@ PASSES: tuple[Callable[[Plan], Plan], ...] = (
     merge,  # needs shared conditions
     hoist,  # needs the final regions to know what is invariant over all pairs of a set; rebuilds nodes, once
     narrow,  # after merge, which could not join the halves again
-    keep,  # last: regions and nodes are final
+    keep_senses,  # last: regions and nodes are final
 )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from antdsl.plan.ir import Block, Claim, If, Plan, SpeciesPlan, Statement, Store
-from antdsl.plan.traverse import PHASES, blocks, needed, operands, registers_read, statements
+from antdsl.plan.traverse import PHASES, blocks, operands, registers_read, required_nodes, statements
 
 RESULT_TEMPS = frozenset(f"{name}.{axis}" for name in ("push", "~face") for axis in "xyz")  # the runtime reads the results
 
@@ -19,23 +19,23 @@ def drop_unused(plan: Plan) -> Plan:
 def _species(species: SpeciesPlan) -> SpeciesPlan:
     while True:
         everything = [s for _, block in blocks(species) for _, s in statements(block)]
-        read = registers_read(needed(n for s in everything for n in operands(s))) | RESULT_TEMPS
+        read = registers_read(required_nodes(n for s in everything for n in operands(s))) | RESULT_TEMPS
         read |= {s.won for s in everything if isinstance(s, Claim)}
         unread = {name for name, r in species.registers.items() if r.role == "temp" and name not in read}
         if not unread:
             return species
-        phases = {phase: _without(getattr(species, phase), unread) for phase in PHASES}
+        phases = {phase: _without_stores(getattr(species, phase), unread) for phase in PHASES}
         registers = {name: r for name, r in species.registers.items() if name not in unread}
         species = replace(species, registers=registers, **phases)  # type: ignore[arg-type]
 
 
-def _without(block: Block, unread: set[str]) -> Block:
+def _without_stores(block: Block, unread: set[str]) -> Block:
     result: list[Statement] = []
     for statement in block.statements:
         if isinstance(statement, Store) and statement.register in unread:
             continue
         if isinstance(statement, If):
-            inner = _without(statement.then, unread)
+            inner = _without_stores(statement.then, unread)
             if inner.statements:
                 result.append(If(statement.condition, inner, statement.span))
             continue

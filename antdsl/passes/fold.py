@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.passes.rewriting import with_blocks
 from antdsl.plan.ir import Block, If, Plan, SpeciesPlan, Statement
-from antdsl.plan.simplify import value
+from antdsl.plan.simplify import constant_value
 
 
 def fold(plan: Plan) -> Plan:
@@ -19,7 +19,7 @@ def _block(species: SpeciesPlan, block: Block) -> Block:
         if not isinstance(statement, If):
             result.append(statement)
             continue
-        known = value(statement.condition)
+        known = constant_value(statement.condition)
         inner = _block(species, statement.then)
         if known is True:
             result += inner.statements

@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import reduce
 from typing import Any
 
-from antdsl.passes.rewriting import rebuilt
+from antdsl.passes.rewriting import rebuild
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Node, Plan, Rate
 
@@ -18,15 +18,15 @@ _COMPONENTS = frozenset(("pair.x", "pair.y", "pair.z", "other"))
 
 def hoist(plan: Plan, watched: dict[Node, Node] | None = None) -> Plan:
     """The same plan with products and quotients of pairs in a better order. `watched` as in `rebuilt`."""
-    return rebuilt(plan, _make, watched)
+    return rebuild(plan, _make, watched)
 
 
 def _make(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> Node | None:
     if op == "reduce.sum" and args[2].op == "neg":  # exact: rounding to a multiple is the same on both sides of zero
         return b("neg", b("reduce.sum", *args[:2], args[2].args[0], attrs=attrs))
-    if op == "div" and _pair(args[0]) and not _pair(args[1]):
+    if op == "div" and _is_pair_rate(args[0]) and not _is_pair_rate(args[1]):
         return _product(b, (args[0], b("div", b.number(1), args[1])))
-    if op == "mul" and (_pair(args[0]) or _pair(args[1])):
+    if op == "mul" and (_is_pair_rate(args[0]) or _is_pair_rate(args[1])):
         return _product(b, args)
     return None
 
@@ -34,8 +34,8 @@ def _make(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -
 def _product(b: Builder, args: tuple[Node, ...]) -> Node:
     """Return the product of the factors of all operands."""
     factors, negative = _factors(args)
-    agent = [n for n in factors if not _pair(n)]
-    pair = [n for n in factors if _pair(n)]
+    agent = [n for n in factors if not _is_pair_rate(n)]
+    pair = [n for n in factors if _is_pair_rate(n)]
     first = next((n for n in pair if n.op in _COMPONENTS), pair[0])
     pair.remove(first)
     rest = [reduce(lambda p, q: b("mul", p, q), group) for group in (pair, agent) if group]
@@ -50,15 +50,15 @@ def _factors(args: tuple[Node, ...]) -> tuple[list[Node], bool]:
     stack = list(reversed(args))
     while stack:
         node = stack.pop()
-        if node.op == "neg" and _pair(node):
+        if node.op == "neg" and _is_pair_rate(node):
             negative = not negative
             stack.append(node.args[0])
-        elif node.op == "mul" and _pair(node):
+        elif node.op == "mul" and _is_pair_rate(node):
             stack += reversed(node.args)
         else:
             factors.append(node)
     return factors, negative
 
 
-def _pair(node: Node) -> bool:
+def _is_pair_rate(node: Node) -> bool:
     return node.rate is Rate.PAIR

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 from antdsl.plan.ir import Plan
-from antdsl.plan.traverse import lazy
+from antdsl.plan.traverse import find_shared_senses
 
 
-def keep(plan: Plan) -> Plan:
+def keep_senses(plan: Plan) -> Plan:
     """Return the plan with each species' `lazy` computed again: other passes change which regions use a sense."""
-    return replace(plan, species={n: replace(s, lazy=lazy(s.decide, s.act, s.blend)) for n, s in plan.species.items()})
+    return replace(
+        plan, species={n: replace(s, lazy=find_shared_senses(s.decide, s.act, s.blend)) for n, s in plan.species.items()}
+    )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from antdsl.passes.rewriting import with_blocks
 from antdsl.plan.ir import Block, If, Node, Plan, SpeciesPlan, Statement
-from antdsl.plan.traverse import needed, registers_read, statements
-from antdsl.plan.verify import written
+from antdsl.plan.traverse import registers_read, required_nodes, statements
+from antdsl.plan.verify import written_registers
 
 
 def merge(plan: Plan) -> Plan:
@@ -31,5 +31,5 @@ def _block(species: SpeciesPlan, block: Block) -> Block:
 
 def _changes(block: Block, condition: Node) -> bool:
     """Whether the statements write a register that the condition loads."""
-    loaded = registers_read(node for node in needed([condition]) if node.op == "load")
-    return any(name in loaded for _, statement in statements(block) for name in written(statement))
+    loaded = registers_read(node for node in required_nodes([condition]) if node.op == "load")
+    return any(name in loaded for _, statement in statements(block) for name in written_registers(statement))

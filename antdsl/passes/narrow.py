@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from antdsl.passes.rewriting import with_blocks
 from antdsl.plan.ir import SENSES, Block, If, Node, Plan, SpeciesPlan, Statement
-from antdsl.plan.traverse import needed
+from antdsl.plan.traverse import required_nodes
 
 
 def narrow(plan: Plan) -> Plan:
@@ -23,7 +23,7 @@ def _statement(species: SpeciesPlan, statement: Statement) -> Statement:
     cheap: list[Node] = []
     dear: list[Node] = []
     for part in _parts(statement.condition):
-        (dear if _senses(part) else cheap).append(part)
+        (dear if _needs_sense(part) else cheap).append(part)
     if not cheap or not dear:
         return If(statement.condition, inner, statement.span)
     for part in reversed(cheap + dear):
@@ -46,5 +46,5 @@ def _parts(condition: Node) -> list[Node]:
     return conditions
 
 
-def _senses(node: Node) -> bool:
-    return any(n.op in SENSES for n in needed([node]))
+def _needs_sense(node: Node) -> bool:
+    return any(n.op in SENSES for n in required_nodes([node]))

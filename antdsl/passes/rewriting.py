@@ -8,7 +8,7 @@ from typing import Any
 
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Claim, FieldPlan, Give, If, Node, ParamPlan, Plan, Request, SpeciesPlan, Statement, Store
-from antdsl.plan.traverse import PHASES, needed, roots
+from antdsl.plan.traverse import PHASES, required_nodes, roots
 
 Make = Callable[[Builder, str, tuple[Node, ...], tuple[Any, ...]], Node | None]
 
@@ -22,7 +22,7 @@ def with_blocks(plan: Plan, change: Callable[[SpeciesPlan, Block], Block]) -> Pl
     return replace(plan, species=species)
 
 
-def rebuilt(plan: Plan, make: Make | None = None, watched: dict[Node, Node] | None = None) -> Plan:
+def rebuild(plan: Plan, make: Make | None = None, watched: dict[Node, Node] | None = None) -> Plan:
     """Return the same plan with needed nodes only, simplified, shared and numbered without gaps.
 
     `make` may return another node for an operation with operands that are already rebuilt. `watched`: nodes that stay, in the
@@ -30,28 +30,28 @@ def rebuilt(plan: Plan, make: Make | None = None, watched: dict[Node, Node] | No
     builder = Builder()
     new: dict[Node, Node] = {}
     beside = {} if watched is None else watched
-    for node in needed([*roots(plan), *beside]):
+    for node in required_nodes([*roots(plan), *beside]):
         builder.span = node.span
         args = tuple(new[a] for a in node.args)
         other = make(builder, node.op, args, node.attrs) if make else None
         new[node] = other or builder(node.op, *args, attrs=node.attrs, kind=node.kind)
-    changed = _carried(plan, new)
+    changed = _carry_over(plan, new)
     beside.update((node, new[node]) for node in beside)
-    return _numbered(changed, beside)
+    return _renumber(changed, beside)
 
 
-def _numbered(plan: Plan, beside: dict[Node, Node]) -> Plan:
+def _renumber(plan: Plan, beside: dict[Node, Node]) -> Plan:
     """Return the plan without the unused nodes that folding leaves. No two nodes are alike, as a Builder has just made them
     all."""
     new: dict[Node, Node] = {}
-    for number, node in enumerate(needed([*roots(plan), *beside.values()])):
+    for number, node in enumerate(required_nodes([*roots(plan), *beside.values()])):
         args = tuple(new[a] for a in node.args)
         new[node] = Node(node.op, args, node.attrs, node.kind, node.rate, node.span, number)
     beside.update((node, new[now]) for node, now in beside.items())
-    return replace(_carried(plan, new), nodes=tuple(new.values()))
+    return replace(_carry_over(plan, new), nodes=tuple(new.values()))
 
 
-def _carried(plan: Plan, new: dict[Node, Node]) -> Plan:
+def _carry_over(plan: Plan, new: dict[Node, Node]) -> Plan:
     def optional(node: Node | None) -> Node | None:
         return None if node is None else new[node]
 

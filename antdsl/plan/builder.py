@@ -17,12 +17,12 @@ class PlanError(AssertionError):
     """Error for a plan that breaks its own rules: a mistake of ours, never the author's."""
 
 
-def fitting(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
+def operand_problem(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
     """What is wrong with operands and attributes of an operation, or None."""
     shape = (op, len(attrs), *[arg.kind for arg in args])
     if shape in _FIT:
         return None
-    wrong = _misfit(op, args, attrs)
+    wrong = _operand_problem(op, args, attrs)
     if wrong is None:
         _FIT.add(shape)
     return wrong
@@ -31,7 +31,7 @@ def fitting(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | No
 _FIT: set[tuple[Any, ...]] = set()  # operations with numbers of attributes and kinds of operands that were found fitting
 
 
-def _misfit(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
+def _operand_problem(op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]) -> str | None:
     row = OPS.get(op)
     if row is None:
         return f"no operation {op}"
@@ -87,7 +87,7 @@ class Builder:
 
     def __call__(self, op: str, *args: Node, attrs: tuple[Any, ...] = (), kind: Kind | None = None) -> Node:
         """The node of an operation, simplified where its operands allow it."""
-        wrong = fitting(op, args, attrs)
+        wrong = operand_problem(op, args, attrs)
         if wrong:
             raise PlanError(wrong)
         simple = simplify.simplify(self, op, args, attrs)

@@ -75,7 +75,7 @@ LETTERS = {"f": F, "b": B, "i": I, "l": L, "t": T, "s": S}
 
 def _sense(row: Sense) -> Operation:
     attrs = (row.of, *row.attrs) if row.of else row.attrs
-    return Operation(row.operands, attrs, LETTERS[row.kinds] if len(row.kinds) == 1 else T, _A, row.spelled)
+    return Operation(row.operands, attrs, LETTERS[row.kinds] if len(row.kinds) == 1 else T, _A, row.results_text)
 
 
 OPS: dict[str, Operation] = {
@@ -286,7 +286,7 @@ class Register:
     holds: tuple[Any, ...] = ()  # kind, exponents of its dimension, and its species or thing
 
 
-def begun_with(attribute: str) -> str:
+def birth_register(attribute: str) -> str:
     """Return the temp with the scene's value of an agent's attribute at birth; infinite where the scene has none."""
     return f"~born.{attribute}"
 

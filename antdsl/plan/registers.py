@@ -10,7 +10,7 @@ from collections.abc import Iterable
 
 from antdsl.plan import ir
 from antdsl.plan.ir import Kind, SpeciesPlan
-from antdsl.plan.traverse import needed, operands, placed
+from antdsl.plan.traverse import operands, placed, required_nodes
 
 _BYTES = {Kind.F32: 4, Kind.BOOL: 1, Kind.I32: 4, Kind.I64: 8}
 _OWN = 8  # its id
@@ -28,7 +28,7 @@ def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
     read_paths: dict[ir.Node, list[tuple[int, ...]]] = {}
     stores: dict[str, list[tuple[int, ...]]] = {}
     for path, statement in placed(block):
-        for node in needed(operands(statement)):
+        for node in required_nodes(operands(statement)):
             if node.op == "load":
                 read_paths.setdefault(node, []).append(path)
         register = written(statement)
@@ -37,11 +37,11 @@ def early_loads(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
     loads: dict[tuple[int, ...], list[ir.Node]] = {}
     for node, paths in read_paths.items():
         if any(paths[0] <= store < paths[-1] for store in stores.get(node.attrs[0], ())):
-            loads.setdefault(_meeting(paths), []).append(node)
+            loads.setdefault(_common_place(paths), []).append(node)
     return loads
 
 
-def _meeting(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
+def _common_place(paths: list[tuple[int, ...]]) -> tuple[int, ...]:
     """Return the place where several paths meet: in the smallest block around all of them, the statement that contains the first
     of them."""
     first, depth = paths[0], min(len(p) for p in paths) - 1
@@ -58,10 +58,10 @@ def statement_numbers(species: ir.SpeciesPlan) -> dict[ir.Statement, int]:
 
 def cacheable_senses(species: ir.SpeciesPlan) -> tuple[ir.Node, ...]:
     """Return the lazy nodes with a value that holds for the whole step: none of its parts is written in between."""
-    return tuple(node for node in species.lazy if all(part.op != "load" for part in needed((node,))))
+    return tuple(node for node in species.lazy if all(part.op != "load" for part in required_nodes((node,))))
 
 
-def memory(species: SpeciesPlan) -> dict[str, int]:
+def bytes_by_purpose(species: SpeciesPlan) -> dict[str, int]:
     """Return bytes per agent by use: `attribute` (the author's and those that every animal has), `memory` (states, `keep`,
     latches, waiting times), `pair` (values per pair), and `temp`. All but `temp`, which is used during a step only, persist from
     step to step."""

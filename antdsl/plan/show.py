@@ -6,8 +6,8 @@ import math
 from collections import Counter
 
 from antdsl.plan.ir import OPS, SENSES, Block, Claim, Give, If, Kind, Node, Plan, Rate, Request, SpeciesPlan, Statement, Store
-from antdsl.plan.traverse import blocks, needed, operands, statements
-from antdsl.program.tables.effects import EFFECTS, phrase
+from antdsl.plan.traverse import blocks, operands, required_nodes, statements
+from antdsl.program.tables.effects import EFFECTS, fill_template
 
 _INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!=",
@@ -28,9 +28,9 @@ def show(plan: Plan) -> str:
 def _head(plan: Plan) -> str:
     lines = []
     for param in plan.params.values():
-        lines.append(f"param {param.name} = {_Names().text(param.default)}")
+        lines.append(f"param {param.name} = {_ExpressionText().text(param.default)}")
     for field in plan.fields.values():
-        names = _Names()
+        names = _ExpressionText()
         properties = (field.combine, f"stencil {field.stencil}", f"deposits {field.deposits}")
         lines.append(f"field {field.name} on {', '.join(field.surfaces)} ({', '.join(properties)})")
         for word, node in (("cell", field.cell), ("keep", field.keep), ("diffuse", field.diffuse), ("limit", field.limit)):
@@ -50,7 +50,7 @@ def _species(species: SpeciesPlan) -> list[str]:
         mine = [r for r in species.registers.values() if r.role == role]
         names = [r.name if r.kind is Kind.F32 else f"{r.name}:{r.kind.value}" for r in mine]
         if names:
-            lines.append(f"  {role}: {' '.join(_vectors(names))}")
+            lines.append(f"  {role}: {' '.join(_join_axes(names))}")
     for machine in species.machines:
         lines.append(f"  machine {machine.name}: {' '.join(f'{i}={s}' for i, s in enumerate(machine.states))}")
     if species.handles:
@@ -58,13 +58,13 @@ def _species(species: SpeciesPlan) -> list[str]:
     for number, layer in enumerate(species.layers, 1):
         lines.append(f"  layer {number}: {' '.join(layer.text.split())}")
     for phase, block in blocks(species):
-        nodes = needed(n for _, s in statements(block) for n in operands(s))
+        nodes = required_nodes(n for _, s in statements(block) for n in operands(s))
         lines.append(f"  {phase} ({_cost(nodes)})")
-        lines += _Text(block, species).lines(block, "    ")
+        lines += _PhaseText(block, species).lines(block, "    ")
     return lines
 
 
-def _vectors(names: list[str]) -> list[str]:
+def _join_axes(names: list[str]) -> list[str]:
     """position.x position.y position.z as position.xyz."""
     joined: list[str] = []
     for name in names:
@@ -92,7 +92,7 @@ def _number(x: float) -> str:
     return f"{x:.7g}"
 
 
-class _Names:
+class _ExpressionText:
     """Expressions as text, with names for nodes that have one."""
 
     def __init__(self) -> None:
@@ -101,13 +101,13 @@ class _Names:
     def text(self, node: Node) -> str:
         if node in self.names:
             return self.names[node]
-        return self.spelled(node)
+        return self.expression_text(node)
 
-    def spelled(self, node: Node) -> str:
+    def expression_text(self, node: Node) -> str:
         inner = [self.text(a) for a in node.args]
         op, attrs = node.op, node.attrs
         if op in _INFIX:
-            left, right = (f"({text})" if _open(text) else text for text in inner)
+            left, right = (f"({text})" if _needs_brackets(text) else text for text in inner)
             return f"{left} {_INFIX[op]} {right}"
         match op:
             case "const":
@@ -134,7 +134,7 @@ class _Names:
         return f"{op}({', '.join(words)})" if words else op
 
 
-def _open(text: str) -> bool:
+def _needs_brackets(text: str) -> bool:
     """Whether text like `a(b) + c(d)` would be read wrongly without brackets around it."""
     depth = 0
     for character in text:
@@ -144,7 +144,7 @@ def _open(text: str) -> bool:
     return False
 
 
-class _Text(_Names):
+class _PhaseText(_ExpressionText):
     """The statements of one phase."""
 
     def __init__(self, block: Block, species: SpeciesPlan) -> None:
@@ -153,14 +153,14 @@ class _Text(_Names):
         users: Counter[Node] = Counter()
         everything = [operands(s) for _, s in statements(block)]
         roots = [n for group in everything for n in group]
-        for node in needed(roots):
+        for node in required_nodes(roots):
             users.update(node.args)
         users.update(roots)
         self.shared = {n for n, count in users.items() if count > 1 and n.op not in _LEAVES and n.op != "get"}
         self.shared |= {n for n in users if n.op in SENSES}
-        self.shared |= self._long(needed(roots))
+        self.shared |= self._nodes_to_name(required_nodes(roots))
 
-    def _long(self, nodes: list[Node]) -> set[Node]:
+    def _nodes_to_name(self, nodes: list[Node]) -> set[Node]:
         """Nodes to name so that no expression grows beyond a line."""
         named: set[Node] = set()
         size: dict[Node, int] = {}
@@ -174,18 +174,18 @@ class _Text(_Names):
     def lines(self, block: Block, indent: str) -> list[str]:
         result: list[str] = []
         for statement in block.statements:
-            result += [indent + line for line in self._first_named(statement)]
-            place = f"    # {_place(statement)}" if _place(statement) else ""
+            result += [indent + line for line in self._definition_lines(statement)]
+            place = f"    # {_source_place(statement)}" if _source_place(statement) else ""
             result.append(indent + self._statement(statement) + place)
             if isinstance(statement, If):
                 result += self.lines(statement.then, indent + "  ")
         return result
 
-    def _first_named(self, statement: Statement) -> list[str]:
+    def _definition_lines(self, statement: Statement) -> list[str]:
         lines = []
-        for node in needed(operands(statement)):
+        for node in required_nodes(operands(statement)):
             if node in self.shared and node not in self.names and node.rate is not Rate.PAIR:
-                text = self.spelled(node)
+                text = self.expression_text(node)
                 keep = " (kept)" if node in self.species.lazy else ""
                 self.names[node] = f"{'s' if node.op in SENSES else 'a'}{len(self.names) + 1}"
                 lines.append(f"{self.names[node]} = {text}{keep}")
@@ -208,10 +208,10 @@ class _Text(_Names):
             case Request():
                 row = EFFECTS[s.op]
                 values = {name: None if arg is None else self.text(arg) for name, arg in zip(row.operands, s.args, strict=True)}
-                return phrase(row.plan_text, {**values, "of": s.of, "own": s.own})
+                return fill_template(row.plan_text, {**values, "of": s.of, "own": s.own})
 
 
-def _place(statement: Statement) -> str:
+def _source_place(statement: Statement) -> str:
     """Return the line of the text that a statement is from."""
     if statement.span is None:
         return ""

@@ -21,7 +21,7 @@ Value = float | int | bool | None
 _CONSTS = frozenset(("const", "const.bool", "const.i32", "const.i64"))
 
 
-def value(node: Node) -> Any:
+def constant_value(node: Node) -> Any:
     """The value of a constant node (float, int or bool), None of any other."""
     return node.attrs[0] if node.op in _CONSTS else None
 
@@ -30,16 +30,16 @@ def simplify(b: Builder, op: str, args: tuple[Node, ...], attrs: tuple[Any, ...]
     """A node that stands for the operation, or None if nothing simpler is known."""
     if not args:
         return None
-    values = [value(a) for a in args]
+    values = [constant_value(a) for a in args]
     if all(v is not None for v in values):
-        known = _computed(b, op, values)
+        known = _fold_constants(b, op, values)
         if known is not None:
             return known
     rule = _ALGEBRA.get(op)
     return rule(b, args, values) if rule else None
 
 
-def _computed(b: Builder, op: str, values: list[Any]) -> Node | None:
+def _fold_constants(b: Builder, op: str, values: list[Any]) -> Node | None:
     if op in ARITHMETIC:
         return b.number(f32(ARITHMETIC[op](*values)))
     if op in COMPARISONS:
@@ -78,7 +78,7 @@ def _neg(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return args[0].args[0] if args[0].op == "neg" else None
 
 
-def _same(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
+def _same_operands(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
     return args[0] if args[0] is args[1] else None
 
 
@@ -137,7 +137,8 @@ def _alive(b: Builder, args: tuple[Node, ...], v: list[Value]) -> Node | None:
 
 
 _ALGEBRA = {
-    "add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "min": _same, "max": _same, "and": _and, "or": _or,
+    "add": _add, "sub": _sub, "mul": _mul, "div": _div, "neg": _neg, "min": _same_operands, "max": _same_operands, "and": _and,
+    "or": _or,
     "not": _not, "where": _where, "eq": _eq, "ne": _ne, "item.alive": _alive, "agent.alive": _alive,
 }  # fmt: skip
 

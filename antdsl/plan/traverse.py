@@ -44,7 +44,7 @@ def blocks(species: SpeciesPlan) -> tuple[tuple[str, Block], ...]:
     return tuple((phase, getattr(species, phase)) for phase in PHASES)
 
 
-def needed(roots: Iterable[Node]) -> list[Node]:
+def required_nodes(roots: Iterable[Node]) -> list[Node]:
     """Return the nodes and all their operands, operands first."""
     nodes_by_number: dict[int, Node] = {}
     stack = list(roots)
@@ -78,7 +78,7 @@ def registers_read(nodes: Iterable[Node]) -> set[str]:
     return {node.attrs[0] for node in nodes if node.op in ("snap", "load")}
 
 
-def lazy(*phases: Block) -> tuple[Node, ...]:
+def find_shared_senses(*phases: Block) -> tuple[Node, ...]:
     """Return the senses with two or more users, in order of their numbers. A user is a block, or a stored sense itself."""
     users: dict[Node, set[object]] = {}
     for phase in phases:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterator
 
-from antdsl.plan.builder import PlanError, fitting, result_kind, result_rate
+from antdsl.plan.builder import PlanError, operand_problem, result_kind, result_rate
 from antdsl.plan.ir import Block, Claim, Give, If, ItemsPlan, Kind, Node, Plan, Rate, Request, SpeciesPlan, Statement, Store
-from antdsl.plan.traverse import blocks, field_nodes, needed, operands, roots, statements
+from antdsl.plan.traverse import blocks, field_nodes, operands, required_nodes, roots, statements
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.senses import SENSES
 from antdsl.program.tables.things import KINDS_OF_THINGS
@@ -18,9 +18,9 @@ _OWN = {"position", "velocity", "heading", "up"}
 
 def verify(plan: Plan) -> None:
     """Raise PlanError, with all that is wrong, if the plan breaks a rule."""
-    wrong = [*_nodes(plan), *_names(plan)]
+    wrong = [*_check_nodes(plan), *_check_names(plan)]
     for species in plan.species.values():
-        wrong += [f"{species.name}: {text}" for text in _species(plan, species)]
+        wrong += [f"{species.name}: {text}" for text in _check_species(plan, species)]
     for field in plan.fields.values():
         wrong += [f"field {field.name}: {n!r} changes within a run" for n in field_nodes(field) if n.rate > Rate.RUN]
     for param in plan.params.values():
@@ -33,14 +33,14 @@ def verify(plan: Plan) -> None:
 # --- nodes -----------------------------------------------------------------------------------------------------------
 
 
-def _nodes(plan: Plan) -> Iterator[str]:
+def _check_nodes(plan: Plan) -> Iterator[str]:
     """Check that each node matches the table, follows its operands, and is in the list."""
     known = set(plan.nodes)
     for node in roots(plan):
         if node not in known:
             yield f"{node!r} is not in the plan's list"
     for place, node in enumerate(plan.nodes):
-        text = fitting(node.op, node.args, node.attrs)
+        text = operand_problem(node.op, node.args, node.attrs)
         if text:
             yield f"{node!r}: {text}"
             continue
@@ -56,9 +56,9 @@ def _nodes(plan: Plan) -> Iterator[str]:
             yield f"{node!r}: a set's size depends on an element"
 
 
-def _names(plan: Plan) -> Iterator[str]:
+def _check_names(plan: Plan) -> Iterator[str]:
     """Check that the names in nodes exist. A species may be in another file."""
-    things = named(plan)
+    things = names_by_kind(plan)
     known: dict[str, Container[str]] = {
         **{row.op: things[row.of] for row in SENSES.values() if row.of and row.of != "species"},
         "item.get": plan.items, "item.alive": plan.items, "set.items": plan.items, "surface.touching": plan.of_kind("surface"),
@@ -68,14 +68,14 @@ def _names(plan: Plan) -> Iterator[str]:
         if node.op in known and node.attrs[0] not in known[node.op]:
             yield f"{node!r} names {node.attrs[0]!r}, which is not there"
         if node.op == "item.get" and node.attrs[0] in plan.items:
-            yield from _of_items(plan.items[node.attrs[0]], node, node.attrs[1])
+            yield from _check_item_value(plan.items[node.attrs[0]], node, node.attrs[1])
         if node.op == "agent.get" and node.attrs[0] in plan.species:
-            yield from _register(plan.species[node.attrs[0]], node, node.attrs[1])
+            yield from _check_register(plan.species[node.attrs[0]], node, node.attrs[1])
         if node.op.startswith("reduce."):
-            yield from _elements(plan, node)
+            yield from _check_elements(plan, node)
 
 
-def named(plan: Plan) -> dict[str, Container[str]]:
+def names_by_kind(plan: Plan) -> dict[str, Container[str]]:
     """Return the names of the things of a plan, by the kind in the rows of senses and effects."""
     return {
         **{kind: plan.of_kind(kind) for kind in KINDS_OF_THINGS}, "items": plan.items, "species": plan.species,
@@ -83,14 +83,14 @@ def named(plan: Plan) -> dict[str, Container[str]]:
     }  # fmt: skip
 
 
-def _elements(plan: Plan, reduce: Node) -> Iterator[str]:
+def _check_elements(plan: Plan, reduce: Node) -> Iterator[str]:
     """Check that a reduction reads only values that its elements have."""
     source = reduce.args[0]
     of_items = source.op == "set.items"
     labels = _LABELS.get(reduce.op)
     if labels is not None and labels != of_items:
         yield f"{reduce!r} over {source.op}"
-    for node in _per_pair(reduce.args[1:]):
+    for node in _pair_nodes(reduce.args[1:]):
         if node.op == ("other.id" if of_items else "other.row"):
             yield f"{reduce!r} reads {node.op} over {source.op}"
         if node.op != "other":
@@ -98,12 +98,12 @@ def _elements(plan: Plan, reduce: Node) -> Iterator[str]:
         if of_items:
             items = plan.items.get(source.attrs[0])
             if items is not None:
-                yield from _of_items(items, node, node.attrs[0])
+                yield from _check_item_value(items, node, node.attrs[0])
         elif source.attrs[0] in plan.species:
-            yield from _register(plan.species[source.attrs[0]], node, node.attrs[0])
+            yield from _check_register(plan.species[source.attrs[0]], node, node.attrs[0])
 
 
-def _per_pair(nodes: tuple[Node, ...]) -> Iterator[Node]:
+def _pair_nodes(nodes: tuple[Node, ...]) -> Iterator[Node]:
     """Nodes at the rate of pairs that belong to this reduction and not to one inside it."""
     stack, visited = list(nodes), set()
     while stack:
@@ -115,12 +115,12 @@ def _per_pair(nodes: tuple[Node, ...]) -> Iterator[Node]:
         stack += node.args
 
 
-def _of_items(items: ItemsPlan, node: Node, attribute: str) -> Iterator[str]:
+def _check_item_value(items: ItemsPlan, node: Node, attribute: str) -> Iterator[str]:
     if attribute not in ("x", "y", "z", "radius", *items.attributes):
         yield f"{node!r}: {items.name} have no {attribute}"
 
 
-def _register(species: SpeciesPlan, node: Node, name: str) -> Iterator[str]:
+def _check_register(species: SpeciesPlan, node: Node, name: str) -> Iterator[str]:
     register = species.registers.get(name)
     if register is None:
         yield f"{node!r}: {species.name} has no register {name}"
@@ -131,7 +131,7 @@ def _register(species: SpeciesPlan, node: Node, name: str) -> Iterator[str]:
 # --- statements ------------------------------------------------------------------------------------------------------
 
 
-def _species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
+def _check_species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
     for name, register in species.registers.items():
         if name != register.name:
             yield f"register {register.name} is filed under {name}"
@@ -141,17 +141,17 @@ def _species(plan: Plan, species: SpeciesPlan) -> Iterator[str]:
                 yield f"no register {vector}.{axis}"
     for phase, block in blocks(species):
         for _, statement in statements(block):
-            yield from (f"{phase}: {text}" for text in _statement(plan, species, statement))
-        for node in needed(n for _, s in statements(block) for n in operands(s)):
+            yield from (f"{phase}: {text}" for text in _check_statement(plan, species, statement))
+        for node in required_nodes(n for _, s in statements(block) for n in operands(s)):
             if node.op in _READS:
-                yield from (f"{phase}: {text}" for text in _register(species, node, node.attrs[0]))
+                yield from (f"{phase}: {text}" for text in _check_register(species, node, node.attrs[0]))
             if phase == "born" and node.op == "snap":
                 yield f"born: {node!r} asks for a time before birth"
-    yield from _order(Block((*species.decide.statements, *species.act.statements, *species.blend.statements)))
-    yield from _order(species.born)
+    yield from _check_load_order(Block((*species.decide.statements, *species.act.statements, *species.blend.statements)))
+    yield from _check_load_order(species.born)
 
 
-def _statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> Iterator[str]:
+def _check_statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> Iterator[str]:
     for node in operands(statement):
         if node.rate is Rate.PAIR:
             yield f"{type(statement).__name__} of {node!r}, which is of an element"
@@ -178,16 +178,16 @@ def _statement(plan: Plan, species: SpeciesPlan, statement: Statement) -> Iterat
             if statement.item is not None and statement.item.kind is not Kind.I32:
                 yield f"{type(statement).__name__} with {statement.item!r} for an item"
         case Request():
-            yield from _request(plan, species, statement)
+            yield from _check_request(plan, species, statement)
 
 
-def _request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[str]:
+def _check_request(plan: Plan, species: SpeciesPlan, statement: Request) -> Iterator[str]:
     """Check that a request matches its row and that the names in it exist."""
     row = EFFECTS.get(statement.op)
     if row is None:
         yield f"no effect {statement.op}"
         return
-    word, known_names = row.op.capitalize(), named(plan).get(row.target)
+    word, known_names = row.op.capitalize(), names_by_kind(plan).get(row.target)
     if known_names is not None and statement.of not in known_names:
         yield f"{word} of {statement.of}, which is not there"
     if statement.own is not None and statement.own not in species.registers:
@@ -211,15 +211,15 @@ class _LoadState:
         self.stale: set[str] = set()
 
 
-def _order(block: Block) -> Iterator[str]:
+def _check_load_order(block: Block) -> Iterator[str]:
     """Check that a load after a store differs from the load before it, and that versions only increase."""
     state = _LoadState()
-    yield from _walk(block, state)
+    yield from _check_block_order(block, state)
 
 
-def _walk(block: Block, state: _LoadState) -> Iterator[str]:
+def _check_block_order(block: Block, state: _LoadState) -> Iterator[str]:
     for statement in block.statements:
-        for node in needed(operands(statement)):
+        for node in required_nodes(operands(statement)):
             if node.op != "load":
                 continue
             name, version = node.attrs
@@ -230,13 +230,13 @@ def _walk(block: Block, state: _LoadState) -> Iterator[str]:
                 yield f"{node!r} is loaded before and after a store"
             state.version[name] = max(version, last or 0)
             state.stale.discard(name)
-        for name in written(statement):
+        for name in written_registers(statement):
             state.stale.add(name)
         if isinstance(statement, If):
-            yield from _walk(statement.then, state)
+            yield from _check_block_order(statement.then, state)
 
 
-def written(statement: Statement) -> tuple[str, ...]:
+def written_registers(statement: Statement) -> tuple[str, ...]:
     """Registers that the statement itself may change."""
     match statement:
         case Store():

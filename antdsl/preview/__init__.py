@@ -2,8 +2,8 @@
 back."""
 
 from antdsl.preview.compiling import Compiler
-from antdsl.preview.live import Busy, Client, Live
+from antdsl.preview.live import Client, Live, QueueFull
 from antdsl.preview.session import Outcome, Session
-from antdsl.preview.watch import Watch
+from antdsl.preview.watch import FileWatch
 
-__all__ = ["Busy", "Client", "Compiler", "Live", "Outcome", "Session", "Watch"]
+__all__ = ["Client", "Compiler", "FileWatch", "Live", "Outcome", "QueueFull", "Session"]

@@ -46,7 +46,7 @@ class Ahead:
         self._world: World | None = None
         self._stopped = False
 
-    def forget(self) -> None:
+    def clear(self) -> None:
         """Store nothing; the next request begins a new branch."""
         if self._world is not None:
             self.frames, self._of, self._world, self._stopped = {}, None, None, False
@@ -58,12 +58,12 @@ class Ahead:
         stretch = session.timeline.at(session.frame)
         of = (stretch, tuple(stretch.changes))
         if of != self._of or session.frame not in self.frames:
-            self.forget()
+            self.clear()
             self._of = of
             return True
         for frame in [each for each in self.frames if each < session.frame]:
             del self.frames[frame]
-        return not self._stopped and max(self.frames) < self._last(session)
+        return not self._stopped and max(self.frames) < self._last_frame(session)
 
     def go_on(self, session: Session) -> None:
         """Simulate one more frame if one is missing; the first call takes the session's current frame."""
@@ -83,7 +83,7 @@ class Ahead:
         self.frames[world.frame] = {name: SpeciesPositions.of(p, previous.get(name)) for name, p in world.populations.items()}
         self.version += 1
 
-    def _last(self, session: Session) -> int:
+    def _last_frame(self, session: Session) -> int:
         """The frame that it goes to."""
         count = max(1, min(round(SECONDS / session.world.dt), _BYTES // (12 * max(1, len(session.world)))))
         next_stretch = session.timeline.next_stretch(session.timeline.at(session.frame))

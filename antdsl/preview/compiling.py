@@ -12,10 +12,10 @@ from antdsl import syntax
 from antdsl.diagnostics import Report
 from antdsl.loading import Parsed
 from antdsl.pipeline import Choices, Shot, open_scene
-from antdsl.preview.speculative import Foreseen
+from antdsl.preview.speculative import PrecompiledShot
 from antdsl.reload import Migration, take_over
-from antdsl.runtime import BindError, Built, World
-from antdsl.scene.paths import Sought, open_again, sought
+from antdsl.runtime import BindError, BindingCache, World
+from antdsl.scene.paths import Sought, record_sought, reopen
 from antdsl.source import Source
 
 
@@ -25,27 +25,27 @@ class Compiler:
 
     scene: Path
     instead: dict[Path, str] = field(default_factory=dict)
-    built: Built = field(default_factory=Built)
+    built: BindingCache = field(default_factory=BindingCache)
     _parsed: Parsed = field(default_factory=dict)
     _files: Sought = field(default_factory=dict)  # that the last shot was made of
     _tried: Sought = field(default_factory=dict)  # the last requested ones, also those that do not exist
-    _foreseen: Foreseen | None = None
+    _foreseen: PrecompiledShot | None = None
 
-    def foresee(self, choices: Choices | None = None) -> None:
+    def precompile(self, choices: Choices | None = None) -> None:
         """Open the shot ahead of time, for an `open` that soon follows. `open` then checks whether the files are unchanged."""
         self._foreseen = None
         choices = choices or Choices()
         shot, report = self.open(choices)
         if shot is not None and report.ok:
-            self._foreseen = Foreseen(shot, report, choices, dict(self.instead), dict(self._parsed))
+            self._foreseen = PrecompiledShot(shot, report, choices, dict(self.instead), dict(self._parsed))
 
     def open(self, choices: Choices | None = None) -> tuple[Shot | None, Report]:
         """Return the shot of the current files, or None if it cannot be made; and the findings."""
         self._forget_changed()
         foreseen, self._foreseen = self._foreseen, None
-        if foreseen is not None and foreseen.holds(choices or Choices(), self.instead, self._parsed):
+        if foreseen is not None and foreseen.is_current(choices or Choices(), self.instead, self._parsed):
             return foreseen.shot, foreseen.report
-        with _without_pauses(), sought() as sought_files:
+        with _without_garbage_collection(), record_sought() as sought_files:
             shot, report = open_scene(self.scene, choices, parsed=self._parsed, thorough=False)
         self._tried = sought_files
         if shot is not None:
@@ -54,12 +54,12 @@ class Compiler:
 
     def take_over(self, world: World, shot: Shot) -> tuple[World | None, Migration, Report]:
         """Return a world of `shot` that continues from `world`; None and errors if it cannot be made."""
-        with _without_pauses():
+        with _without_garbage_collection():
             try:
                 new_world, migration = take_over(world, shot.plan, shot.setting, self.built)
             except BindError as why:
                 return None, Migration(), why.report
-        self.built.forget()
+        self.built.drop_unused()
         return new_world, migration, Report()
 
     def files(self) -> Sought:
@@ -72,7 +72,7 @@ class Compiler:
 
     def open_file(self, path: Path) -> int:
         """Return a handle on one of these files; the caller closes it. Raises OSError if it is missing or not a regular file."""
-        return open_again(path, self.files().get(path, path.parent))
+        return reopen(path, self.files().get(path, path.parent))
 
     def _forget_changed(self) -> None:
         for path, text in self.instead.items():
@@ -86,7 +86,7 @@ class Compiler:
 
 
 @contextmanager
-def _without_pauses() -> Iterator[None]:
+def _without_garbage_collection() -> Iterator[None]:
     """Pause garbage collection. A compile creates tens of thousands of small live objects; scanning them takes as long as
     creating them."""
     was = gc.isenabled()

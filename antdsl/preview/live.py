@@ -19,7 +19,7 @@ from antdsl.preview.doing import HANDLERS, WITHOUT_SESSION
 from antdsl.preview.observing.observer import Observer, Stop
 from antdsl.preview.requests import Ask, Breaks, Explain, Look, Profile, Refusal, Seek, Set
 from antdsl.preview.session import Session
-from antdsl.preview.watch import Watch
+from antdsl.preview.watch import FileWatch
 from antdsl.runtime import Options
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Client(Protocol):
         """Arrays; only the latest of a slot need arrive."""
 
 
-class Busy(Exception):
+class QueueFull(Exception):
     """Too much waits to be done already."""
 
 
@@ -87,13 +87,13 @@ class Live:
         self.observers: list[Observer] = []
         for make in OBSERVERS:
             self.observers.append(make(self))
-        self._watch = Watch(compiler.files, opened=compiler.open_file) if watch else None
+        self._watch = FileWatch(compiler.files, opened=compiler.open_file) if watch else None
         self._queue: deque[tuple[Ask | str, Client]] = deque()
         self._later: list[tuple[Ask, Client]] = []  # from before the session
         self._changed, self._over = Condition(), False
         self._due = self._poll = 0.0
         self._thread = Thread(target=self._run, name="antdsl-preview", daemon=True)
-        self._adopt()
+        self._attach_to_session()
 
     # --- for all threads ---------------------------------------------------------------------------------------------
 
@@ -109,19 +109,19 @@ class Live:
 
     def ask(self, ask: Ask, client: Client) -> None:
         """Queue a request to run between two steps. Raises Busy if too many wait."""
-        self._put(ask, client)
+        self._enqueue(ask, client)
 
     def join(self, client: Client) -> None:
         """Send a page the complete state, and all updates from then on."""
-        self._put("join", client)
+        self._enqueue("join", client)
 
     def leave(self, client: Client) -> None:
-        self._put("leave", client)
+        self._enqueue("leave", client)
 
-    def _put(self, what: Ask | str, client: Client) -> None:
+    def _enqueue(self, what: Ask | str, client: Client) -> None:
         with self._changed:
             if len(self._queue) >= _WAITING and not isinstance(what, str):
-                raise Busy
+                raise QueueFull
             self._queue.append((what, client))
             self._changed.notify()
 
@@ -134,7 +134,7 @@ class Live:
         return self._session
 
     @property
-    def busy(self) -> bool:
+    def is_seeking(self) -> bool:
         """Whether it is on its way to a frame."""
         return self._target is not None or self._steps > 0
 
@@ -150,16 +150,16 @@ class Live:
         for client in self.clients:
             client.tell(message)
 
-    def be_exact(self) -> None:
+    def show_exact_frame(self) -> None:
         """Bring the session to the frame that the page shows, if that frame is only remembered or the session is still on its way
         there."""
         frame = self.light if self._target is None else self._target
         self.light = self._target = None
         if frame is not None:
             self.session.seek(frame)
-            self.screen.arrived()
+            self.screen.on_seek_end()
 
-    def show_light(self, frame: int) -> None:
+    def show_stored_frame(self, frame: int) -> None:
         """Show the remembered agents of a frame, or of the nearest remembered one, without simulation."""
         remembered = self.session.timeline.light
         self._target = None
@@ -169,13 +169,13 @@ class Live:
     def go_to(self, frame: int) -> None:
         """Bring the session to a frame as it was. This may take many steps; requests are handled between them. Meanwhile the
         remembered frame is displayed."""
-        self.show_light(frame)
+        self.show_stored_frame(frame)
         self._target = frame
         session = self.session
-        if not session.leads_to(frame):
-            session.seek(session.nearest(frame))
+        if not session.is_ahead(frame):
+            session.seek(session.checkpoint_frame(frame))
 
-    def pace(self, times: float) -> None:
+    def set_pace(self, times: float) -> None:
         """How fast the clock goes, from now on."""
         self.speed, self._due = times, monotonic()
 
@@ -188,7 +188,7 @@ class Live:
             self.session.timeline.stop(self.session.frame, why.line)
         self.session.playing, self.stop_at, self._steps = False, why, 0
 
-    def step_on(self, count: int) -> None:
+    def start_steps(self, count: int) -> None:
         """Make `count` steps as fast as possible; requests are handled between them."""
         self.stop_at, self._steps = None, count
 
@@ -196,11 +196,11 @@ class Live:
         """Make one step and run the observers. Return whether the session may go on."""
         session = self.session
         for observer in self.observers:
-            observer.stepping(session)
+            observer.before_step(session)
         session.step()
-        self.screen.stepped()
+        self.screen.on_step()
         for observer in self.observers:
-            why = observer.stepped(session)
+            why = observer.after_step(session)
             if why is not None and self.stop_at is None:
                 self.pause(why)
         return session.fault is None and self.stop_at is None
@@ -212,24 +212,24 @@ class Live:
         if self._session is None:
             self._try_to_open()
             return
-        self.be_exact()
+        self.show_exact_frame()
         result = self._session.reload()
-        self.took(result.report)
+        self.on_files_read(result.report)
         self.tell_all(outcome(self, of, result))
         self.screen.edited(files=True)
 
-    def took(self, report: Report) -> None:
+    def on_files_read(self, report: Report) -> None:
         """Record that the files were read, with these findings. A file that was being saved will be read again."""
         self.report = report
         if self._watch is not None:
-            self._watch.doubt()
+            self._watch.recheck_changing()
 
     # --- the thread --------------------------------------------------------------------------------------------------
 
     def _run(self) -> None:
         while not self._over:
             try:
-                self._turn()
+                self._run_once()
             except Exception:  # whatever goes wrong in a step, the page is still there and can restart
                 traceback.print_exc(file=sys.stderr)
                 if self._session is not None:
@@ -239,19 +239,19 @@ class Live:
                 with self._changed:
                     self._changed.wait(_AFTER_BUG)
 
-    def _turn(self) -> None:
+    def _run_once(self) -> None:
         until = monotonic() + _ASKING
         while self._queue and not self._over:
-            self._do(*self._queue.popleft())
+            self._process(*self._queue.popleft())
             if monotonic() > until:
                 break  # many requests of one client do not block display to the others
         now = monotonic()
         if self._watch is not None and now >= self._poll:
             self._poll = now + _POLL
-            changed = self._watch.look()
-            if not changed and self._watch.stirs() and self._session is not None:
-                self._session.foresee()  # a file that has just changed may still be being written: the wait is made use of
-                changed = self._watch.look()
+            changed = self._watch.poll()
+            if not changed and self._watch.is_being_written() and self._session is not None:
+                self._session.precompile()  # a file that has just changed may still be being written: the wait is made use of
+                changed = self._watch.poll()
             if changed:
                 self.reload("saved")
         if self._session is not None:
@@ -268,7 +268,7 @@ class Live:
                 session.seek(session.frame + 1)
             if session.frame == self._target:
                 self.light = self._target = None
-                self.screen.arrived()
+                self.screen.on_seek_end()
         elif self._steps:
             self._steps = self._steps - 1 if self.step() else 0
         elif session.playing and monotonic() >= self._due and self.step():
@@ -281,8 +281,8 @@ class Live:
         """Simulate future frames while a page shows them and no other request waits. During play, a frame for each one played,
         and more in the time that is left before the next."""
         version = self.ahead.version
-        if not self.screen.looks_ahead(session):
-            self.ahead.forget()
+        if not self.screen.needs_look_ahead(session):
+            self.ahead.clear()
         elif self._may_look_ahead(session):
             until = monotonic() + _AHEAD
             if session.playing:
@@ -292,17 +292,17 @@ class Live:
                 if monotonic() >= until:
                     break
         if self.ahead.version != version:
-            self.screen.looked_ahead()
+            self.screen.on_look_ahead()
 
     def _may_look_ahead(self, session: Session) -> bool:
-        return self.screen.looks_ahead(session) and not self.busy and self.light is None
+        return self.screen.needs_look_ahead(session) and not self.is_seeking and self.light is None
 
     def _sleep(self) -> None:
         until = monotonic() + _IDLE
         if self._watch is not None:
             until = min(until, self._poll)
-        if self._session is not None and (self._session.playing or self.busy):
-            until = 0.0 if self.busy else min(until, self._due)
+        if self._session is not None and (self._session.playing or self.is_seeking):
+            until = 0.0 if self.is_seeking else min(until, self._due)
         if self._session is not None and self._may_look_ahead(self._session) and self.ahead.lacks(self._session):
             until = 0.0
         until = min(until, self.screen.due)
@@ -310,17 +310,17 @@ class Live:
             if not self._queue and not self._over and (wait := until - monotonic()) > 0:
                 self._changed.wait(wait)
 
-    def _do(self, what: Ask | str, client: Client) -> None:
+    def _process(self, what: Ask | str, client: Client) -> None:
         if what == "join":
             self.clients[client] = _NOTHING
             self.screen.greet(client)
         elif what == "leave":
             self.clients.pop(client, None)
-            self.screen.looked()
-        elif not isinstance(what, str) and client in self.clients and not self._overtaken(what, client):
+            self.screen.on_look()
+        elif not isinstance(what, str) and client in self.clients and not self._is_superseded(what, client):
             self._handle(what, client)
 
-    def _overtaken(self, ask: Ask, client: Client) -> bool:
+    def _is_superseded(self, ask: Ask, client: Client) -> bool:
         """Return whether a later request makes this one unnecessary, for example while a slider moves or agents are selected in
         quick succession."""
         following, sender = self._queue[0] if self._queue else (None, None)
@@ -346,13 +346,13 @@ class Live:
         except Exception:
             traceback.print_exc(file=sys.stderr)
             client.tell({"op": "refused", "of": ask.op, "message": _BUG, "help": "what was there before runs on"})
-        self.screen.touched()
+        self.screen.on_action()
 
     def _try_to_open(self) -> None:
         choices, options, how = self._how
         self._session, report = Session.open(self.compiler.scene, choices, options, compiler=self.compiler, **how)
-        self.took(report)
-        self._adopt()
+        self.on_files_read(report)
+        self._attach_to_session()
         self.screen.edited(files=True)
         if self._session is not None:
             waiting, self._later = self._later, []
@@ -360,13 +360,13 @@ class Live:
                 if client in self.clients:
                     self._handle(ask, client)
 
-    def _adopt(self) -> None:
+    def _attach_to_session(self) -> None:
         """Observe each world that the session enters, the current one first."""
         if self._session is not None:
-            self._session.on_world = self._entered
-            self._entered(self._session)
+            self._session.on_world = self._on_new_world
+            self._on_new_world(self._session)
 
-    def _entered(self, session: Session) -> None:
-        self.screen.entered()
+    def _on_new_world(self, session: Session) -> None:
+        self.screen.on_new_world()
         for observer in self.observers:
-            observer.entered(session)
+            observer.on_new_world(session)

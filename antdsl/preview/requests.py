@@ -87,7 +87,7 @@ class Column(_Model):
     name: Name
 
 
-class Who(_Model):
+class AgentRef(_Model):
     species: Name
     agent: Agent
 
@@ -101,8 +101,8 @@ class Look(_Model):
     fields: tuple[Name, ...] = Field((), max_length=64)
     flows: tuple[Name, ...] = Field((), max_length=64)
     solids: bool = True
-    follow: Who | None = None
-    planned: tuple[Who, ...] | None = Field(None, max_length=64)
+    follow: AgentRef | None = None
+    planned: tuple[AgentRef, ...] | None = Field(None, max_length=64)
 
 
 class Explain(_Model):

@@ -13,18 +13,18 @@ from antdsl import limits
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices, Shot
 from antdsl.plan.ir import Plan
-from antdsl.plan.traverse import field_nodes, needed, operands, statements
+from antdsl.plan.traverse import field_nodes, operands, required_nodes, statements
 from antdsl.preview.compiling import Compiler
-from antdsl.preview.layer_order import Off, texts_without
-from antdsl.preview.speculative import differing
-from antdsl.preview.timeline import Light, Stretch, Timeline, nearest_checkpoint
+from antdsl.preview.layer_order import Off, texts_without_layers
+from antdsl.preview.speculative import changed_files_text
+from antdsl.preview.timeline import LightFrame, Stretch, Timeline, nearest_checkpoint
 from antdsl.reload import migration_line
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
-from antdsl.runtime.binding.start_findings import start_findings
+from antdsl.runtime.binding.start_findings import start_warnings
 from antdsl.runtime.profiling import Meter
-from antdsl.scene.field_settings import settable
+from antdsl.scene.field_settings import settable_names
 from antdsl.scene.matching import check_param
-from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity
+from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 
 _AGAIN = "simulated again from the first frame"
 _LAYER = 60  # letters of a layer in messages
@@ -73,7 +73,7 @@ class Session:
         """Return a session at the scene's first simulated frame, or None, and a report. A checkpoint each `every` frames;
         `budget` bytes of memory for all that is stored. `compiler`: one that has tried this scene before."""
         session = cls(compiler or Compiler(scene), options or Options(), Timeline(every, budget))
-        report = session._begin(choices or Choices(), {}).report
+        report = session._start_over(choices or Choices(), {}).report
         return (session if report.ok else None), report
 
     # --- time --------------------------------------------------------------------------------------------------------
@@ -83,7 +83,7 @@ class Session:
         return self._stretch.shot
 
     @property
-    def off(self) -> Off:
+    def disabled_layers(self) -> Off:
         """Layers that are off, by species and text, with the file that each stands in."""
         return self._stretch.off
 
@@ -96,9 +96,9 @@ class Session:
         return self.timeline.stretches[0].first
 
     @property
-    def head(self) -> int:
+    def last_frame(self) -> int:
         """The last frame that was simulated."""
-        return self.timeline.head
+        return self.timeline.last_frame
 
     @property
     def hash(self) -> str:
@@ -122,31 +122,31 @@ class Session:
         later = self.timeline.next_stretch(self._stretch)
         if later is not None and later.first == self.frame:
             self._restore(later, later.first)
-        self.timeline.note(self._stretch, self.world)
+        self.timeline.store_frame(self._stretch, self.world)
 
     def seek(self, frame: int) -> None:
         """Go to a frame that was simulated. Raises ValueError for any other frame, also for one that was dropped."""
         self._check_stored(frame)
-        if not self.leads_to(frame):
-            self._restore(self.timeline.at(frame), self.nearest(frame))
+        if not self.is_ahead(frame):
+            self._restore(self.timeline.at(frame), self.checkpoint_frame(frame))
         while self.frame < frame:
             self._step()
 
-    def leads_to(self, frame: int) -> bool:
+    def is_ahead(self, frame: int) -> bool:
         """Return whether simulating on from the current frame reaches a frame at least as fast as from any checkpoint."""
         stretch = self.timeline.at(frame)
         return stretch is self._stretch and nearest_checkpoint(stretch, frame) <= self.frame <= frame
 
-    def nearest(self, frame: int) -> int:
+    def checkpoint_frame(self, frame: int) -> int:
         """Return the frame of the checkpoint from which a frame is simulated. Raises ValueError as `seek` does."""
         self._check_stored(frame)
         return nearest_checkpoint(self.timeline.at(frame), frame)
 
     def _check_stored(self, frame: int) -> None:
-        if not self.first <= frame <= self.head:
-            raise ValueError(f"frame {frame} is not among those stored, {self.first} to {self.head}")
+        if not self.first <= frame <= self.last_frame:
+            raise ValueError(f"frame {frame} is not among those stored, {self.first} to {self.last_frame}")
 
-    def light_at(self, frame: int) -> Mapping[str, Light] | None:
+    def light_at(self, frame: int) -> Mapping[str, LightFrame] | None:
         """Return the agents at a frame by species, without simulation; None if the frame was dropped."""
         return self.timeline.light.get(frame)
 
@@ -189,41 +189,41 @@ class Session:
 
     def reload(self) -> Outcome:
         """Go on from the current frame with the current files. If they have errors, the last good program continues."""
-        outcome = self._with(self.choices, self._stretch.off)
+        outcome = self._recompile(self.choices, self._stretch.off)
         if outcome.ok or not (self.choices.params or self._stretch.off):
             return outcome
-        choices, dropped = self._known(self.choices, self._stretch.off)
+        choices, dropped = self._drop_unknown(self.choices, self._stretch.off)
         if not dropped:
             return outcome
-        outcome = self._with(choices, self._stretch.off)
+        outcome = self._recompile(choices, self._stretch.off)
         return replace(outcome, line=" · ".join([outcome.line, *dropped])) if outcome.ok else outcome
 
-    def foresee(self) -> None:
+    def precompile(self) -> None:
         """Compile the current files before they settle, so that a reload finds the result. This has no other effect, whatever the
         files contain."""
         instead = self.compiler.instead
-        self.compiler.instead, _ = texts_without(self._stretch.off)
-        self.compiler.foresee(self.choices)
+        self.compiler.instead, _ = texts_without_layers(self._stretch.off)
+        self.compiler.precompile(self.choices)
         self.compiler.instead = instead
 
     def set(self, name: str, value: str) -> Outcome:
         """Set a param, or a setting of a field, to a number with its unit. The text is the scene's line for it."""
         text, did = f"set: {{{name}: {value}}}", f"`{name}` is {value}"
-        quantity, report = _quantity(self.shot, name, value)
+        quantity, report = _parse_quantity(self.shot, name, value)
         if quantity is None:
             return Outcome(report)
         if name not in self.shot.plan.params or name in find_binding_params(self.shot.plan):
             choices = self.choices
-            return self._with(replace(choices, params={**choices.params, name: value}), self._stretch.off, text, did)
+            return self._recompile(replace(choices, params={**choices.params, name: value}), self._stretch.off, text, did)
         self.timeline.cut(self.frame, text)
-        self._stretch.change(self.world, name, value, quantity.base(self.shot.scene.model.unit_mm, self.world.dt))
+        self._stretch.change_param(self.world, name, value, quantity.to_base_units(self.shot.scene.model.unit_mm, self.world.dt))
         return Outcome(report, "from the next frame on", text, did)
 
-    def field(self, name: str, on: bool) -> Outcome:
+    def switch_field(self, name: str, on: bool) -> Outcome:
         """Switch a field on, or nearly off: deposits then stay below a millionth and vanish after one step."""
-        off = silenced(name)
+        off = silencing_settings(name)
         if name not in self.shot.plan.fields:
-            return _unknown(f"no program has a field `{name}`")
+            return _error_outcome(f"no program has a field `{name}`")
         chosen = self.choices.params
         if not on and not chosen.items() >= off.items():
             self._before_off[name] = {key: chosen[key] for key in off if key in chosen}
@@ -231,128 +231,130 @@ class Session:
         params |= self._before_off.pop(name, {}) if on else {}
         text = "" if on else f"set: {{{', '.join(f'{key}: {value}' for key, value in off.items())}}}"
         did = f"field `{name}` holds scent again" if on else f"field `{name}` holds no scent"
-        return self._with(replace(self.choices, params=params if on else {**params, **off}), self._stretch.off, text, did)
+        return self._recompile(replace(self.choices, params=params if on else {**params, **off}), self._stretch.off, text, did)
 
     def layer(self, species: str, layer: str, on: bool) -> Outcome:
         """Switch a layer of a species, by its text, off or on again. The text is its lines, commented out."""
         key, off = (species, layer), dict(self._stretch.off)
         if on:
             if off.pop(key, None) is None:
-                return _unknown(f"no layer of `{species}` that is off is `{layer}`")
-            return self._with(self.choices, off, did=f"layer `{_short(layer)}` is on again")
+                return _error_outcome(f"no layer of `{species}` that is off is `{layer}`")
+            return self._recompile(self.choices, off, did=f"layer `{_short_text(layer)}` is on again")
         plan = self.shot.plan.species.get(species)
         layer_plan = next((each for each in plan.layers if each.span.text == layer), None) if plan is not None else None
         if layer_plan is None:
-            return _unknown(f"no layer of `{species}` is `{layer}`")
+            return _error_outcome(f"no layer of `{species}` is `{layer}`")
         off[key] = Path(os.path.realpath(layer_plan.span.source.path))
         text = "\n".join(f"# {line.strip()}" for line in layer.splitlines())
-        return self._with(self.choices, off, text, f"layer `{_short(layer)}` is off")
+        return self._recompile(self.choices, off, text, f"layer `{_short_text(layer)}` is off")
 
     def restart(self) -> Outcome:
         """Simulate the files as they are, with manual settings, from the first frame. This is a clean run: its hashes are those
         of `antdsl run` once the files contain the lines for the settings."""
-        return self._begin(self.choices, self._stretch.off)
+        return self._start_over(self.choices, self._stretch.off)
 
-    def _begin(self, choices: Choices, off: Off) -> Outcome:
-        shot, report, _ = self._opened(choices, off)
+    def _start_over(self, choices: Choices, off: Off) -> Outcome:
+        shot, report, _ = self._compile(choices, off)
         if shot is None or not report.ok:
             return Outcome(report)
         try:
             world = bind(shot.plan, shot.setting, self.options, built=self.compiler.built)
         except BindError as why:
             return Outcome(why.report)
-        report.extend(start_findings(shot.scene, world))
-        self.timeline = self.timeline.begun_again(_AGAIN)
+        report.extend(start_warnings(shot.scene, world))
+        self.timeline = self.timeline.restarted(_AGAIN)
         stretch = Stretch(shot, world.frame, "from the first frame", world.origin, choices, off)
         self.timeline.start(stretch, world)
         self.fault = None
         self._enter(world, stretch)
         return Outcome(report, f"{len(self.world):,} agents from frame {self.frame}", did=_AGAIN)
 
-    def _opened(self, choices: Choices, off: Off) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
+    def _compile(self, choices: Choices, off: Off) -> tuple[Shot | None, Report, list[tuple[str, str]]]:
         """Return the shot of the files with these choices, and the layers that no longer exist."""
         previous_texts = self.compiler.instead
-        self.compiler.instead, missing_layers = texts_without(off)
+        self.compiler.instead, missing_layers = texts_without_layers(off)
         shot, report = self.compiler.open(choices)
         if shot is None or not report.ok:
             self.compiler.instead = previous_texts
         return shot, report, missing_layers
 
-    def _with(self, choices: Choices, off: Off, text: str = "", did: str | None = None) -> Outcome:
+    def _recompile(self, choices: Choices, off: Off, text: str = "", did: str | None = None) -> Outcome:
         """Go on with the current files and other choices. Without `did`, it is the files that may have changed."""
-        shot, report, missing_layers = self._opened(choices, off)
+        shot, report, missing_layers = self._compile(choices, off)
         if shot is None or not report.ok:
             return Outcome(report)
-        saved, did = did is None, differing(self.shot, shot) if did is None else did
+        saved, did = did is None, changed_files_text(self.shot, shot) if did is None else did
         if saved and shot.inputs == self.shot.inputs:
             if did:  # a comment, or what no result depends on, such as the camera and the last frame
                 self._stretch.shot = shot
-            return Outcome(report, self._undone() or ("the run stays as it is" if did else "nothing has changed"), did=did)
+            return Outcome(
+                report, self._forget_undone_edit() or ("the run stays as it is" if did else "nothing has changed"), did=did
+            )
         world, migration, findings = self.compiler.take_over(self.world, shot)
         report.extend(findings)
         if world is None:
             return Outcome(report)
-        report.extend(start_findings(shot.scene, world))
+        report.extend(start_warnings(shot.scene, world))
         line = " · ".join([migration_line(migration), *(f"layer `{layer}` is gone" for _, layer in missing_layers)])
         off = {key: path for key, path in off.items() if key not in missing_layers}
         stretch = Stretch(shot, world.frame, did, world.origin, choices, off)
-        stretch.go_on_from(self._stretch, self.world, world)
+        stretch.replace(self._stretch, self.world, world)
         self.timeline.start(stretch, world)
         self._enter(world, stretch)
         return Outcome(report, line, text, did)
 
-    def _undone(self) -> str:
+    def _forget_undone_edit(self) -> str:
         """If the files are again as they were at this frame, drop the later frames that came from the undone edit."""
         later = [each for each in self.timeline.stretches if each.first > self.frame and each.off == self._stretch.off]
-        if all(_files(each.shot) == _files(self.shot) for each in later):
+        if all(_file_texts(each.shot) == _file_texts(self.shot) for each in later):
             return ""
         line = "the files are again as they were at this frame: later frames are simulated again"
         self.timeline.cut(self.frame, line)
         return line
 
-    def _known(self, choices: Choices, off: Off) -> tuple[Choices, list[str]]:
+    def _drop_unknown(self, choices: Choices, off: Off) -> tuple[Choices, list[str]]:
         """Return the choices without values that the current files cannot use, and a text for each dropped value."""
-        shot, report, _ = self._opened(replace(choices, params={}), off)
+        shot, report, _ = self._compile(replace(choices, params={}), off)
         if shot is None or not report.ok:
             return choices, []
-        fits = {name: value for name, value in choices.params.items() if _quantity(shot, name, value)[0] is not None}
+        fits = {name: value for name, value in choices.params.items() if _parse_quantity(shot, name, value)[0] is not None}
         dropped = [f"`{name}: {value}` fits no more" for name, value in choices.params.items() if name not in fits]
         return replace(choices, params=fits), dropped
 
 
-def _short(text: str) -> str:
+def _short_text(text: str) -> str:
     """A layer's text in a line."""
     words = " ".join(text.split())
     return words if len(words) <= _LAYER else f"{words[: _LAYER - 1]}…"
 
 
-def silenced(field: str) -> dict[str, str]:
+def silencing_settings(field: str) -> dict[str, str]:
     """Return the settings that keep a field's content near 0."""
     return {f"{field}.limit": "0.000001", f"{field}.keeps": "0 %/step"}
 
 
-def _files(shot: Shot) -> dict[str, str]:
+def _file_texts(shot: Shot) -> dict[str, str]:
     """Return the files that a shot was made of, without values set by hand."""
     return {name: known for name, known in shot.inputs.items() if not name.startswith("--set ")}
 
 
-def _quantity(shot: Shot, name: str, value: str) -> tuple[Quantity | None, Report]:
+def _parse_quantity(shot: Shot, name: str, value: str) -> tuple[Quantity | None, Report]:
     """Return a value for a param or a setting of a field, or None with the errors."""
     report = Report()
     try:
         quantity = parse_quantity(value)
-    except BadQuantity as why:
+    except QuantityError as why:
         usual = f"write a number and a unit: `{name}: 50 mm`"
         report.error("wrong-value", f"`{name}: {value}`: `{value}` {why}", None, why.help or usual)
         return None, report
-    if name not in shot.program.params and name not in settable(shot.program):
+    if name not in shot.program.params and name not in settable_names(shot.program):
         report.error("unknown-thing", f"no program has a param `{name}`", None)
         return None, report
     check_param(shot.scene, shot.program, report, name, quantity)
     return (quantity if report.ok else None), report
 
 
-def _unknown(message: str) -> Outcome:
+def _error_outcome(message: str) -> Outcome:
     report = Report()
     report.error("unknown-thing", message, None)
     return Outcome(report)
@@ -364,4 +366,4 @@ def find_binding_params(plan: Plan) -> frozenset[str]:
     nodes += [param.default for param in plan.params.values()]
     for species in plan.species.values():
         nodes += [node for _, statement in statements(species.born) for node in operands(statement)]
-    return frozenset(str(node.attrs[0]) for node in needed(nodes) if node.op == "param")
+    return frozenset(str(node.attrs[0]) for node in required_nodes(nodes) if node.op == "param")

@@ -19,7 +19,7 @@ _NAMED = 3  # files reported by name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Foreseen:
+class PrecompiledShot:
     """A shot with all that it was made of."""
 
     shot: Shot
@@ -28,18 +28,18 @@ class Foreseen:
     instead: Mapping[Path, str]
     parsed: Parsed
 
-    def holds(self, choices: Choices, instead: Mapping[Path, str], parsed: Parsed) -> bool:
+    def is_current(self, choices: Choices, instead: Mapping[Path, str], parsed: Parsed) -> bool:
         """Return whether opening again would give the same shot. `parsed` has the current programs: equal texts give identical
         objects."""
         return (
             (choices, instead) == (self.choices, self.instead)
             and parsed.keys() == self.parsed.keys()
             and all(parsed[place] is known for place, known in self.parsed.items())
-            and all(_same_text(source) for source in sources(self.shot.scene.document))
-            and self._same_inputs()
+            and all(_is_same_text(source) for source in sources(self.shot.scene.document))
+            and self._has_same_inputs()
         )
 
-    def _same_inputs(self) -> bool:
+    def _has_same_inputs(self) -> bool:
         """Whether meshes and whatever else the scene names have the bytes that were read."""
         roots = self.shot.scene.roots
         for name, known in self.shot.inputs.items():
@@ -73,7 +73,7 @@ def sources(document: Node) -> Iterator[Source]:
             stack += node.items
 
 
-def _same_text(source: Source) -> bool:
+def _is_same_text(source: Source) -> bool:
     try:
         now, report = decode(read_named(Path(source.path), limits.SCENE_BYTES), source.path)
     except PathRefused:
@@ -81,11 +81,13 @@ def _same_text(source: Source) -> bool:
     return report.ok and now.text == source.text
 
 
-def differing(old: Shot, new: Shot) -> str:
+def changed_files_text(old: Shot, new: Shot) -> str:
     """Return the files in which two shots differ, with lines: `forager.ant line 34, scene.yaml lines 9–12`; empty if none
     differs."""
     old_texts, new_texts = _texts(old), _texts(new)
-    differences = [_lines(name, old_texts.get(name), text) for name, text in new_texts.items() if old_texts.get(name) != text]
+    differences = [
+        _changed_lines_text(name, old_texts.get(name), text) for name, text in new_texts.items() if old_texts.get(name) != text
+    ]
     others = {name for name in old.inputs.keys() & new.inputs.keys() if old.inputs[name] != new.inputs[name]}
     differences += sorted(name for name in others if name not in new_texts and Path(name).suffix)  # meshes and such
     differences += [f"{name} is gone" for name in old_texts if name not in new_texts]
@@ -98,7 +100,7 @@ def _texts(shot: Shot) -> dict[str, str]:
     return {**scenes, **shot.loaded.texts}
 
 
-def _lines(name: str, old: str | None, new: str) -> str:
+def _changed_lines_text(name: str, old: str | None, new: str) -> str:
     """Return a file's name with its changed lines, from the first to the last."""
     if old is None:
         return f"{name} is new"

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.pipeline import Choices, Shot
-from antdsl.runtime import Built, Options, Population, World, checkpoint, restore, set_param, state_hash
-from antdsl.runtime.binding.bind_world import unpeopled
+from antdsl.runtime import BindingCache, Options, Population, World, checkpoint, restore, set_param, state_hash
+from antdsl.runtime.binding.bind_world import bind_empty
 from antdsl.runtime.world import AXES
 
 _LIGHT = 0.25  # of the budget, that light frames keep
@@ -25,7 +25,7 @@ Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Light:
+class LightFrame:
     """Agents of one species at one frame, by id. `ids` int64[n]; `places` float32[n,3] relative to the world's origin; heading
     and up int8[n,3] (127 is 1); sizes float32[n] in mm; states uint8[n] by machine. An array that equals that of the previous
     frame is the same object."""
@@ -38,7 +38,7 @@ class Light:
     states: dict[str, NDArray[np.uint8]]
 
     @classmethod
-    def of(cls, population: Population, previous: Light | None = None) -> Light:
+    def of(cls, population: Population, previous: LightFrame | None = None) -> LightFrame:
         """Return the current state of a species. `previous`: its state in the previous frame."""
         rows = population.in_id_order()
         ids, size = population.ids[rows], population.now["size"][rows]
@@ -46,7 +46,7 @@ class Light:
             ids = previous.ids if np.array_equal(ids, previous.ids) else ids
             size = previous.size if np.array_equal(size, previous.size) else size
         states = {m.name: population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
-        heading, up = turn(population, "heading", rows), turn(population, "up", rows)
+        heading, up = pack_directions(population, "heading", rows), pack_directions(population, "up", rows)
         return cls(ids, population.position[rows].astype(np.float32), heading, up, size, states)
 
     def arrays(self) -> Iterator[NDArray[Any]]:
@@ -55,7 +55,7 @@ class Light:
         yield from self.states.values()
 
 
-class Lights(dict[int, dict[str, Light]]):
+class LightFrames(dict[int, dict[str, LightFrame]]):
     """Light frames by frame and species. `nbytes`: of all arrays, each counted once in however many frames it is."""
 
     def __init__(self) -> None:
@@ -63,7 +63,7 @@ class Lights(dict[int, dict[str, Light]]):
         self.nbytes = 0
         self._used: Counter[int] = Counter()
 
-    def put(self, frame: int, lights: dict[str, Light]) -> None:
+    def put(self, frame: int, lights: dict[str, LightFrame]) -> None:
         self.drop(frame)
         self[frame] = lights
         for array in _arrays(lights):
@@ -78,13 +78,13 @@ class Lights(dict[int, dict[str, Light]]):
                 self.nbytes -= array.nbytes
 
 
-def _arrays(lights: Mapping[str, Light]) -> Iterator[NDArray[Any]]:
+def _arrays(lights: Mapping[str, LightFrame]) -> Iterator[NDArray[Any]]:
     for light in lights.values():
         yield from light.arrays()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posed:
+class SpeciesPoses:
     """What agents of one species did with their bodies at a frame, as sent to pages: arrays by name, valid only for the body and
     the clips of `worn`."""
 
@@ -92,20 +92,20 @@ class Posed:
     arrays: Arrays
 
 
-class Poses(dict[int, Mapping[str, Posed]]):
+class Poses(dict[int, Mapping[str, SpeciesPoses]]):
     """Poses of bodies by frame and species, `nbytes` in total."""
 
     def __init__(self) -> None:
         super().__init__()
         self.nbytes = 0
 
-    def put(self, frame: int, poses: Mapping[str, Posed]) -> None:
+    def put(self, frame: int, poses: Mapping[str, SpeciesPoses]) -> None:
         self.drop(frame)
         self[frame] = poses
-        self.nbytes += sum(_size(each.arrays) for each in poses.values())
+        self.nbytes += sum(_byte_count(each.arrays) for each in poses.values())
 
     def drop(self, frame: int) -> None:
-        self.nbytes -= sum(_size(each.arrays) for each in self.pop(frame, {}).values())
+        self.nbytes -= sum(_byte_count(each.arrays) for each in self.pop(frame, {}).values())
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,20 +136,20 @@ class Stretch:
     fresh: bool = True
     _unedited: tuple[object, str] | None = None  # what an unedited run to its first frame is made of, and the hash there
 
-    def go_on_from(self, previous: Stretch, old: World, world: World) -> None:
+    def replace(self, previous: Stretch, old: World, world: World) -> None:
         """Replace the stretch `previous` at the frame of `old`, with `world`, which was made from `old`. The stretch still counts
         as a fresh run if an edit was undone at the frame of the edit and nothing was lost."""
         if previous.first == old.frame and previous._unedited is not None:
             self._unedited = previous._unedited
         elif previous.fresh and not previous.changes:
-            self._unedited = previous._made_of(), state_hash(old)
-        same = self._unedited is not None and self._unedited[0] == self._made_of()
-        self.fresh = same and self._unedited == (self._made_of(), state_hash(world))
+            self._unedited = previous._source_texts(), state_hash(old)
+        same = self._unedited is not None and self._unedited[0] == self._source_texts()
+        self.fresh = same and self._unedited == (self._source_texts(), state_hash(world))
 
-    def _made_of(self) -> object:
+    def _source_texts(self) -> object:
         return dict(self.shot.inputs), frozenset(self.off)
 
-    def change(self, world: World, name: str, text: str, value: float) -> None:
+    def change_param(self, world: World, name: str, text: str, value: float) -> None:
         """Set a param from the world's frame on. A value that is put back at the frame at which it was set leaves no change."""
         current_changes = [each for each in self.changes if (each.frame, each.name) == (world.frame, name)]
         was = current_changes[0].was if current_changes else float(world.params[name])
@@ -158,9 +158,9 @@ class Stretch:
             self.changes.append(Change(world.frame, name, text, value, was))
         set_param(world, name, value)
 
-    def world(self, arrays: Arrays, options: Options, built: Built) -> World:
+    def world(self, arrays: Arrays, options: Options, built: BindingCache) -> World:
         """Return a separate world, as a checkpoint has it."""
-        world = unpeopled(self.shot.plan, self.shot.setting, options, built=built, origin=self.origin)
+        world = bind_empty(self.shot.plan, self.shot.setting, options, built=built, origin=self.origin)
         restore(world, arrays)
         return world
 
@@ -195,12 +195,12 @@ class Timeline:
         self.branches: list[Branch] = []
         self.curves: dict[int, dict[str, float]] = {}
         self.stops: dict[int, str] = {}
-        self.light = Lights()
+        self.light = LightFrames()
         self.poses = Poses()  # of light frames that some page was shown when they were simulated
         self._bytes = 0  # of checkpoints
 
     @property
-    def head(self) -> int:
+    def last_frame(self) -> int:
         """The last frame that was simulated."""
         return next(reversed(self.curves), self.stretches[-1].first if self.stretches else 0)
 
@@ -222,34 +222,34 @@ class Timeline:
         self.cut(stretch.first, stretch.line)
         self.curves.pop(stretch.first, None)  # to be measured again
         for each in [each for each in self.stretches if each.first == stretch.first]:
-            self._drop(each)
+            self._drop_stretch(each)
         self.stretches.append(stretch)
-        self.note(stretch, world)
+        self.store_frame(stretch, world)
 
     def cut(self, frame: int, line: str) -> None:
         """Drop everything after a frame except its curves."""
         old = {each: values for each, values in self.curves.items() if each > frame}
         if old:
-            self._branch(Branch(frame, line, old))
+            self._add_branch(Branch(frame, line, old))
         self.stops = {each: why for each, why in self.stops.items() if each <= frame}
         for each_stretch in [each for each in self.stretches if each.first > frame]:
-            self._drop(each_stretch)
+            self._drop_stretch(each_stretch)
         for stretch in self.stretches:
             stretch.changes = [change for change in stretch.changes if change.frame <= frame]
             for each in [each for each in stretch.checkpoints if each > frame]:
-                self._bytes -= _size(stretch.checkpoints.pop(each))
+                self._bytes -= _byte_count(stretch.checkpoints.pop(each))
         for each in old:
             del self.curves[each]
-            self._forget(each)
+            self._drop_frame(each)
         if old:
             self.curves.setdefault(frame, {})  # it may be older than all that there are
 
-    def begun_again(self, line: str) -> Timeline:
+    def restarted(self, line: str) -> Timeline:
         """Return an empty timeline. The old history becomes a branch of it, if it has more than one frame."""
         timeline = Timeline(self.every, self.budget)
         timeline.branches = self.branches
         if len(self.curves) > 1:
-            timeline._branch(Branch(next(iter(self.curves)), line, self.curves))
+            timeline._add_branch(Branch(next(iter(self.curves)), line, self.curves))
         return timeline
 
     def stop(self, frame: int, why: str) -> None:
@@ -259,63 +259,63 @@ class Timeline:
         while len(self.stops) > _STOPS:
             del self.stops[next(iter(self.stops))]
 
-    def _branch(self, branch: Branch) -> None:
+    def _add_branch(self, branch: Branch) -> None:
         self.branches = [*self.branches[1 - _BRANCHES :], branch]
 
-    def note(self, stretch: Stretch, world: World) -> None:
+    def store_frame(self, stretch: Stretch, world: World) -> None:
         """Store the state of a world at its frame, once per frame, even if the frame is simulated again."""
         frame = world.frame
-        fresh = not self.curves or frame > self.head
+        fresh = not self.curves or frame > self.last_frame
         if fresh:
-            self.curves[frame] = measured(world)
+            self.curves[frame] = count_agents(world)
             if len(self.curves) > _CURVES:
                 del self.curves[next(iter(self.curves))]
         if (frame == stretch.first and frame not in stretch.checkpoints) or (fresh and frame % self.every == 0):
-            self._bytes -= _size(stretch.checkpoints.get(frame, {}))
+            self._bytes -= _byte_count(stretch.checkpoints.get(frame, {}))
             stretch.checkpoints[frame] = checkpoint(world)
-            self._bytes += _size(stretch.checkpoints[frame])
+            self._bytes += _byte_count(stretch.checkpoints[frame])
         if fresh:
             previous = self.light.get(frame - 1, {})
             self.poses.drop(frame)
-            self.light.put(frame, {name: Light.of(p, previous.get(name)) for name, p in world.populations.items()})
-        self._keep_to_budget(stretch)
+            self.light.put(frame, {name: LightFrame.of(p, previous.get(name)) for name, p in world.populations.items()})
+        self._enforce_budget(stretch)
 
-    def _forget(self, frame: int) -> None:
+    def _drop_frame(self, frame: int) -> None:
         """What agents were like at a frame."""
         self.light.drop(frame)
         self.poses.drop(frame)
 
-    def _drop(self, stretch: Stretch) -> None:
+    def _drop_stretch(self, stretch: Stretch) -> None:
         self.stretches.remove(stretch)
-        self._bytes -= sum(_size(arrays) for arrays in stretch.checkpoints.values())
+        self._bytes -= sum(_byte_count(arrays) for arrays in stretch.checkpoints.values())
 
-    def _keep_to_budget(self, current: Stretch) -> None:
-        while self.nbytes > self.budget and self._let_go(current):
+    def _enforce_budget(self, current: Stretch) -> None:
+        while self.nbytes > self.budget and self._drop_least_useful(current):
             pass
 
-    def _let_go(self, current: Stretch) -> bool:
+    def _drop_least_useful(self, current: Stretch) -> bool:
         """Drop the data that is missed least. Return False if only one light frame and the first checkpoints of stretches are
         left."""
         if self.poses.nbytes > _POSES * self.budget:
             self.poses.drop(next(iter(self.poses)))
             return True
         if self.light.nbytes <= _LIGHT * self.budget:
-            between = [entry for each in self.stretches for entry in _between(each)]
+            between = [entry for each in self.stretches for entry in _droppable_checkpoints(each)]
             if between:
                 _, _, frame, stretch = min(between, key=lambda each: each[:3])
-                self._bytes -= _size(stretch.checkpoints.pop(frame))
+                self._bytes -= _byte_count(stretch.checkpoints.pop(frame))
                 return True
             if self.stretches[0] is not current:
-                self._drop(self.stretches[0])
+                self._drop_stretch(self.stretches[0])
                 for frame in [each for each in self.light if each < self.stretches[0].first]:
-                    self._forget(frame)
+                    self._drop_frame(frame)
                 return True
         if len(self.light) > 1:
-            self._forget(next(iter(self.light)))
+            self._drop_frame(next(iter(self.light)))
         return len(self.light) > 1
 
 
-def _between(stretch: Stretch) -> Iterator[tuple[bool, int, int, Stretch]]:
+def _droppable_checkpoints(stretch: Stretch) -> Iterator[tuple[bool, int, int, Stretch]]:
     """Yield the checkpoints of a stretch except the first: whether it is the last one, the longest simulation without it
     (frames), its frame, the stretch."""
     frames = sorted(stretch.checkpoints)
@@ -323,7 +323,7 @@ def _between(stretch: Stretch) -> Iterator[tuple[bool, int, int, Stretch]]:
         yield next_frame is None, (frame if next_frame is None else next_frame) - previous_frame, frame, stretch
 
 
-def measured(world: World) -> dict[str, float]:
+def count_agents(world: World) -> dict[str, float]:
     """Counts of agents by species and by state, and totals of items, by the names that specs have for them."""
     values: dict[str, float] = {}
     for name, population in world.populations.items():
@@ -336,7 +336,7 @@ def measured(world: World) -> dict[str, float]:
     return values
 
 
-def _size(arrays: Arrays) -> int:
+def _byte_count(arrays: Arrays) -> int:
     return sum(array.nbytes for array in arrays.values())
 
 
@@ -345,7 +345,7 @@ def nearest_checkpoint(stretch: Stretch, frame: int) -> int:
     return max(each for each in stretch.checkpoints if each <= frame)
 
 
-def turn(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.int8]:
+def pack_directions(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.int8]:
     """Unit vectors of agents, int8 (n, 3): 127 is 1."""
     turned = np.empty((len(rows), 3), np.int8)
     for axis, letter in enumerate(AXES):

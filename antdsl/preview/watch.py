@@ -11,7 +11,7 @@ from pathlib import Path
 from threading import Event
 from time import monotonic
 
-from antdsl.bounded import TooLarge, blocks, open_regular
+from antdsl.bounded import TooLarge, open_regular, read_blocks
 
 _QUIET = 0.03  # seconds that a file has to stay as it is
 _ABSENT = 0.3  # the same for one that is not there or empty: half of a save by most editors
@@ -25,7 +25,7 @@ Stamp = tuple[int, int, int] | None
 
 
 @dataclass(slots=True)
-class _File:
+class _WatchedFile:
     stamp: Stamp
     contents: bytes | None  # a hash; None for a file that is not there
     held: Stamp  # when that was read
@@ -34,7 +34,7 @@ class _File:
     stirred: bool = False  # not reported yet
 
 
-class Watch:
+class FileWatch:
     """Watched files, from `paths` at each poll, because an edit may add files. `opened` gives a handle on a regular file, or
     raises OSError; `clock` returns seconds.
 
@@ -48,43 +48,43 @@ class Watch:
         clock: Callable[[], float] = monotonic,
     ) -> None:
         self._paths, self._opened, self._clock = paths, opened, clock
-        self._files: dict[Path, _File] = {}
+        self._files: dict[Path, _WatchedFile] = {}
         self._left = 0  # bytes that may still be read in this look without a sign of change
-        self.look()
+        self.poll()
 
-    def look(self) -> tuple[Path, ...]:
+    def poll(self) -> tuple[Path, ...]:
         """Return the files with other contents than when they were last reported, or first seen, that no longer change."""
         now, paths, self._left = self._clock(), list(dict.fromkeys(self._paths())), _AT_ONCE
-        changed = [path for path in paths if path in self._files and self._changed(path, self._files[path], now)]
+        changed = [path for path in paths if path in self._files and self._is_changed(path, self._files[path], now)]
         for path in paths:
             if path not in self._files:
-                self._files[path] = _File(stamp := _stamp(path), self._contents(path), stamp, read=now)
+                self._files[path] = _WatchedFile(stamp := _stamp(path), self._contents(path), stamp, read=now)
         for path in set(self._files) - set(paths):
             del self._files[path]
         return tuple(changed)
 
-    def doubt(self) -> None:
+    def recheck_changing(self) -> None:
         """Note that the files were read elsewhere: those that are changing right now count as changed once they rest, even if
         they have their first contents then."""
         for path, file in self._files.items():
             if _stamp(path) != file.held:
                 file.contents = _UNKNOWN
 
-    def stirs(self) -> bool:
+    def is_being_written(self) -> bool:
         """Return whether a file changed and may still be being written. Reports each change once."""
         changed_files = [file for file in self._files.values() if file.stirred]
         for file in changed_files:
             file.stirred = False
         return any(file.stamp is not None and file.stamp[1] > 0 for file in changed_files)
 
-    def changes(self, stop: Event, every: float = 0.02) -> Iterator[tuple[Path, ...]]:
+    def wait_for_changes(self, stop: Event, every: float = 0.02) -> Iterator[tuple[Path, ...]]:
         """Wait for changes and yield them until `stop` is set."""
         while not stop.wait(every):
-            changed = self.look()
+            changed = self.poll()
             if changed:
                 yield changed
 
-    def _changed(self, path: Path, known: _File, now: float) -> bool:
+    def _is_changed(self, path: Path, known: _WatchedFile, now: float) -> bool:
         stamp = _stamp(path)
         if stamp != known.stamp:
             known.stamp, known.since, known.stirred = stamp, now, True
@@ -109,7 +109,7 @@ class Watch:
         except (OSError, ValueError):
             return None
         try:
-            for block in blocks(handle, _READ):
+            for block in read_blocks(handle, _READ):
                 hashed.update(block)
         except TooLarge:
             return repr(_stamp(path)).encode()

@@ -8,21 +8,21 @@ from functools import partial
 
 from antdsl.diagnostics import Label, Report
 from antdsl.program import model
-from antdsl.program.checks import CHECKS, OF_EACH, OF_SOUND, OF_STATES, Check, Checked
-from antdsl.program.consequences import with_all_places, without_consequences
+from antdsl.program.checks import CHECKS, OF_EACH, OF_SOUND, OF_STATES, Check, CheckContext
+from antdsl.program.consequences import add_all_places, drop_consequences
 from antdsl.program.declarations.behaviours import check_behaviour
 from antdsl.program.declarations.species import complete, draft
 from antdsl.program.declarations.specs import check_spec
-from antdsl.program.declarations.world import check_brought, check_field, declare_fields, declare_world
-from antdsl.program.memo import Memo, part, update_outside
+from antdsl.program.declarations.world import check_field, check_world_species, declare_fields, declare_world
+from antdsl.program.memo import Memo, cached_part, update_outside
 from antdsl.program.names.bindings import Bindings
 from antdsl.program.names.collect import Library, Loader, declare
 from antdsl.program.names.scope import Declared, FileNames, SpeciesNames
-from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.rules import RULES
 from antdsl.source import Span
 from antdsl.syntax import nodes
-from antdsl.syntax.parts import moved
+from antdsl.syntax.parts import move_diagnostic
 
 
 def check(
@@ -42,35 +42,35 @@ def check(
     report = Report()
     declared = Declared(RULES, report, strict, memo=memo)
     loader = Loader(report, library, modules)
-    declared.home, declared.shipped = loader.home, loader.shipped
+    declared.home, declared.shipped = loader.library_of, loader.library_behaviour
     names = [loader.file(file) for file in files]
     for each in names:
         declare(declared, each)
     for each in names:
         declare_world(declared, each)
     fields = [(each, field) for each in names for field in declare_fields(declared, each)]
-    outside = update_outside(declared, _outside(declared, loader))
-    program = _program(declared, names, fields)
+    outside = update_outside(declared, _outside_key(declared, loader))
+    program = _assemble_program(declared, names, fields)
     declared.outside = outside
-    _behaviours(declared, [*names, *_modules(names)])
-    checked = Checked(program, declared, names)
+    _check_behaviours(declared, [*names, *_unique_modules(names)])
+    checked = CheckContext(program, declared, names)
     for look in CHECKS:
-        _look(checked, look, report)
+        _run_check(checked, look, report)
     recovered = [span for each in loader.known.values() for span in each.node.recovered]
     sound = report.ok and not any(each.node.broken for each in loader.known.values())
     for look in OF_SOUND if sound else ():
-        _look(checked, look, report)
+        _run_check(checked, look, report)
     if memo is not None:
-        memo.keep(() if sound else (*OF_SOUND, "named"))
-        memo.forget()
+        memo.mark_used(() if sound else (*OF_SOUND, "named"))
+        memo.drop_unused()
         if any(each.wanting for each in loader.known.values()):
             memo.known.clear()  # parts did not report what a missing `use` would bring
     repeated_spans = {first: tuple(dict.fromkeys(others)) for first, *others in declared.unknown.values() if others}
     program = replace(program, bindings=Bindings(tuple(declared.bound)))
-    return program, without_consequences(*_map_to_files(loader, with_all_places(report, repeated_spans), recovered))
+    return program, drop_consequences(*_map_to_files(loader, add_all_places(report, repeated_spans), recovered))
 
 
-def _look(checked: Checked, look: Check, report: Report) -> None:
+def _run_check(checked: CheckContext, look: Check, report: Report) -> None:
     """Run a check of the whole program; one that looks at each species alone runs again only where something has changed."""
     program = checked.program
     if checked.declared.memo is None or look not in OF_EACH:
@@ -82,20 +82,20 @@ def _look(checked: Checked, look: Check, report: Report) -> None:
         look(replace(checked, program=replace(program, species={species.name: species})), report)
 
     def check_state(species: model.Species, machine: model.Machine, state: model.State) -> None:
-        check_species(_with_one_state(species, machine, state))
+        check_species(_keep_one_state(species, machine, state))
 
     for species in program.species.values():
         if look not in OF_STATES:
-            part(checked.declared, (look, species, params), partial(check_species, species))
+            cached_part(checked.declared, (look, species, params), partial(check_species, species))
             continue
         without = replace(species, machines=())
-        part(checked.declared, (look, species.layers, params), partial(check_species, without))
+        cached_part(checked.declared, (look, species.layers, params), partial(check_species, without))
         for machine in species.machines:
             for state in machine.states:
-                part(checked.declared, (look, state, params), partial(check_state, species, machine, state))
+                cached_part(checked.declared, (look, state, params), partial(check_state, species, machine, state))
 
 
-def _with_one_state(species: model.Species, machine: model.Machine, state: model.State) -> model.Species:
+def _keep_one_state(species: model.Species, machine: model.Machine, state: model.State) -> model.Species:
     return replace(species, machines=(replace(machine, states=(state,)),), layers=replace(species.layers, layers=()))
 
 
@@ -108,10 +108,10 @@ def _map_to_files(loader: Loader, report: Report, recovered: Sequence[Span]) -> 
     def map_span(span: Span) -> Span:
         return files[span.source].file_span(span) if span.source in files else span
 
-    return Report([moved(each, map_span) for each in report.diagnostics]), [map_span(span) for span in recovered]
+    return Report([move_diagnostic(each, map_span) for each in report.diagnostics]), [map_span(span) for span in recovered]
 
 
-def _outside(declared: Declared, loader: Loader) -> Hashable:
+def _outside_key(declared: Declared, loader: Loader) -> Hashable:
     """All that a part of the program can see of the others before the types of attributes are known."""
     things = [(t.name, t.kind, tuple((a.name, a.type) for a in t.attributes)) for t in declared.things.values()]
     machines = [
@@ -125,12 +125,12 @@ def _outside(declared: Declared, loader: Loader) -> Hashable:
     return declared.strict, *(tuple(part) for part in parts)
 
 
-def _types(species: SpeciesNames) -> Hashable:
+def _known_types(species: SpeciesNames) -> Hashable:
     """Return the types of a species' members, as far as they are known."""
     return (species.name, *species.attributes.items(), *species.each.items(), *species.params.items())
 
 
-def _program(
+def _assemble_program(
     declared: Declared, names: Sequence[FileNames], fields: Iterable[tuple[FileNames, nodes.FieldDecl]]
 ) -> model.Program:
     made_fields = {node.name.text: field for file, node in fields if (field := check_field(declared, file, node)) is not None}
@@ -139,17 +139,17 @@ def _program(
         for item in file.node.items:
             if isinstance(item, nodes.Species) and declared.species[item.name.text].node is item:
                 drafts.append(draft(declared, file, item))
-                update_outside(declared, (declared.outside, _types(drafts[-1].names)))
-    check_brought(declared)
-    update_outside(declared, (declared.outside, *map(_types, declared.species.values())))
+                update_outside(declared, (declared.outside, _known_types(drafts[-1].names)))
+    check_world_species(declared)
+    update_outside(declared, (declared.outside, *map(_known_types, declared.species.values())))
     species = {work.names.name: complete(work) for work in drafts}
     params = {param.name: param for each in species.values() for param in each.params}
     written = [(file, item) for file in names for item in file.node.items if isinstance(item, nodes.Spec)]
     known = (*params.values(), *(b for each in species.values() for b in (*each.lets, *each.latches)))
     for file in names:
-        _spec_names(declared, file)
+        _check_spec_names(declared, file)
     specs = tuple(
-        part(declared, ("spec", item, known), partial(check_spec, declared, file, item, params, made_fields))
+        cached_part(declared, ("spec", item, known), partial(check_spec, declared, file, item, params, made_fields))
         for file, item in written
     )
     return model.Program(
@@ -157,19 +157,19 @@ def _program(
     )  # fmt: skip
 
 
-def _spec_names(declared: Declared, file: FileNames) -> None:
+def _check_spec_names(declared: Declared, file: FileNames) -> None:
     """Check that each spec of a file has its own name: names distinguish specs in reports and stored results."""
     first: dict[str, Span] = {}
     for spec in (item for item in file.node.items if isinstance(item, nodes.Spec)):
         if spec.name.text in first:
             declared.report.error(
-                "duplicate-name", f"two specs are called {quoted(spec.name.span)}", spec.name.span, "give one another name",
+                "duplicate-name", f"two specs are called {quote_source(spec.name.span)}", spec.name.span, "give one another name",
                 labels=(Label(first[spec.name.text], "first here"),),
             )  # fmt: skip
         first.setdefault(spec.name.text, spec.name.span)
 
 
-def _modules(names: Sequence[FileNames]) -> list[FileNames]:
+def _unique_modules(names: Sequence[FileNames]) -> list[FileNames]:
     """Every file that is used by path, once."""
     modules: dict[int, FileNames] = {}
     stack = list(names)
@@ -181,7 +181,7 @@ def _modules(names: Sequence[FileNames]) -> list[FileNames]:
     return list(modules.values())
 
 
-def _behaviours(declared: Declared, names: Sequence[FileNames]) -> None:
+def _check_behaviours(declared: Declared, names: Sequence[FileNames]) -> None:
     """Check behaviours of the program's own files even if nothing calls them; those of the library are checked when they are
     called."""
     for file in names:

@@ -26,7 +26,7 @@ _MAX_PLACES = 12  # of the places where one thing is missing
 
 
 @dataclass(slots=True)
-class _Doubt:
+class _UnreadLines:
     """Lines of one source that could not be parsed: their numbers, and their first words."""
 
     lines: set[int] = field(default_factory=set)
@@ -34,22 +34,26 @@ class _Doubt:
     missing: set[str] = field(default_factory=set)  # codes of what follows where a line declares something without its name
 
 
-def without_consequences(report: Report, recovered: Iterable[Span]) -> Report:
+def drop_consequences(report: Report, recovered: Iterable[Span]) -> Report:
     """Return the report without what follows from `recovered` places, which parsing has reported, and from misspelt names."""
-    doubts: dict[Source, _Doubt] = {}
+    doubts: dict[Source, _UnreadLines] = {}
     for span in recovered:
-        _doubt(doubts.setdefault(span.source, _Doubt()), span)
+        _note_unread_lines(doubts.setdefault(span.source, _UnreadLines()), span)
     meant = {(d.span.source, d.help) for d in report.diagnostics if d.severity == "error" and d.span is not None}
     twice = {(d.span.source, d.message.split(" `")[0]) for d in report.diagnostics if d.code == "duplicate-name" and d.span}
-    return Report([d for d in report.diagnostics if not _follows(d, doubts, meant) and not _renamed(d, twice)])
+    return Report(
+        [d for d in report.diagnostics if not _is_consequence(d, doubts, meant) and not _is_misspelt_declaration(d, twice)]
+    )
 
 
-def with_all_places(report: Report, repeated_spans: Mapping[Span, Sequence[Span]]) -> Report:
+def add_all_places(report: Report, repeated_spans: Mapping[Span, Sequence[Span]]) -> Report:
     """Return the report in which a finding about the first of several places also names the others."""
-    return Report([replace(d, labels=_also(d, repeated_spans)) if d.span in repeated_spans else d for d in report.diagnostics])
+    return Report(
+        [replace(d, labels=_other_labels(d, repeated_spans)) if d.span in repeated_spans else d for d in report.diagnostics]
+    )
 
 
-def in_one(report: Report) -> Report:
+def merge_repeats(report: Report) -> Report:
     """Return the report with one finding for equal messages about several places of one file, with all of the places."""
     groups: dict[tuple[str, str, str], list[Diagnostic]] = {}
     for each in report.diagnostics:
@@ -61,7 +65,7 @@ def in_one(report: Report) -> Report:
     )
 
 
-def _also(diagnostic: Diagnostic, repeated_spans: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
+def _other_labels(diagnostic: Diagnostic, repeated_spans: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
     others = (
         [each for each in repeated_spans[diagnostic.span] if each != diagnostic.span]
         if diagnostic.code in _MISSING and diagnostic.span
@@ -78,7 +82,7 @@ def _repeat_labels(others: Sequence[Span]) -> list[Label]:
     return labels
 
 
-def _renamed(diagnostic: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
+def _is_misspelt_declaration(diagnostic: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
     """Whether a name is missing, and two others of its kind are alike: one of them was to have it."""
     if diagnostic.span is None or diagnostic.code not in _MISSING:
         return False
@@ -89,7 +93,7 @@ def _renamed(diagnostic: Diagnostic, twice: set[tuple[Source, str]]) -> bool:
     )
 
 
-def _doubt(doubt: _Doubt, span: Span) -> None:
+def _note_unread_lines(doubt: _UnreadLines, span: Span) -> None:
     first = span.source.line_column(span.start)[0]
     last = span.source.line_column(max(span.start, span.end - 1))[0]
     nameless_start = _NAMELESS.fullmatch(span.source.line_text(first)[: span.source.line_column(span.start)[1] - 1])
@@ -105,7 +109,7 @@ def _doubt(doubt: _Doubt, span: Span) -> None:
             doubt.first_words.update(_WORDS.findall(span.source.line_text(line).partition("#")[0])[:_HEAD])
 
 
-def _follows(diagnostic: Diagnostic, doubts: dict[Source, _Doubt], meant: set[tuple[Source, str | None]]) -> bool:
+def _is_consequence(diagnostic: Diagnostic, doubts: dict[Source, _UnreadLines], meant: set[tuple[Source, str | None]]) -> bool:
     if diagnostic.span is None:
         return False
     if diagnostic.code in _LEFT_OUT and (word := _FIRST_WORD.search(diagnostic.help or "")):

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from antdsl.program.model import (
     Ask,
     Assign,
+    BindingRef,
     Expr,
     Face,
-    Local,
     Machine,
     Op,
     Program,
@@ -21,7 +21,7 @@ from antdsl.program.model import (
     State,
     Steer,
     Take,
-    Thing,
+    ThingRef,
 )
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.rows import Cost
@@ -35,7 +35,7 @@ _TAKE = Cost(40, "takes {thing}")
 
 
 @dataclass(frozen=True, slots=True)
-class Use:
+class CostEntry:
     """One thing that is used: its kind, in the words of the table, how often in a step, and the weight of all."""
 
     kind: str  # senses, fields or draws
@@ -44,11 +44,11 @@ class Use:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class StateCost:
     """The uses of one state, or of every state: `name` is `MACHINE.STATE`, or `every state`."""
 
     name: str
-    uses: tuple[Use, ...]
+    uses: tuple[CostEntry, ...]
     sums: int  # operations on numbers, those inside sets times MEMBERS
 
     @property
@@ -56,12 +56,12 @@ class Part:
         return self.sums + sum(use.weight for use in self.uses)
 
 
-def costs(program: Program, species: Species) -> list[Part]:
+def costs(program: Program, species: Species) -> list[StateCost]:
     """Return the costs of every state of a species in text order, and last those common to all states."""
     state_parts = [
-        Part(
+        StateCost(
             state.name if len(species.machines) == 1 else f"{machine.name}.{state.name}",
-            *_uses(program, _of(species, machine, state)),
+            *_count_uses(program, _state_parts(species, machine, state)),
         )
         for machine in species.machines
         for state in machine.states
@@ -73,35 +73,35 @@ def costs(program: Program, species: Species) -> list[Part]:
         relaxed,
         [handler.actions for handler in species.handlers if handler.event != "spawn"],
     )
-    return [*state_parts, Part("every state", *_uses(program, always))]
+    return [*state_parts, StateCost("every state", *_count_uses(program, always))]
 
 
-def _of(species: Species, machine: Machine, state: State) -> object:
+def _state_parts(species: Species, machine: Machine, state: State) -> object:
     """Return what is computed in each step in which an agent is in the state; what is done once, on entry or exit, is not."""
     still = species.rest.push if species.rest is not None and state.index in species.rest.silent.get(machine.name, ()) else None
     changes = [(change.condition, change.delay, change.held, change.take) for change in state.transitions]
     return state.body, still, changes
 
 
-def _uses(program: Program, root: object) -> tuple[tuple[Use, ...], int]:
+def _count_uses(program: Program, root: object) -> tuple[tuple[CostEntry, ...], int]:
     weights: dict[tuple[str, str], float] = {}
     sums = 0
     inside = _inside_sets(root)
     for part in parts(root):
         sums += _operations(part) * (MEMBERS if id(part) in inside else 1)
-        for use in _use(part):
+        for use in _cost_entries(part):
             # an equal sense is computed once; draws are each their own
             previous = weights.get((use.kind, use.words), 0.0)
             weights[use.kind, use.words] = previous + use.weight if use.kind == "draws" else use.weight
-    return tuple(Use(kind, words, weight) for (kind, words), weight in weights.items()), sums
+    return tuple(CostEntry(kind, words, weight) for (kind, words), weight in weights.items()), sums
 
 
 def _inside_sets(root: object) -> set[int]:
     """Return what is computed for each member of a set."""
-    return {id(inner) for part in parts(root) if isinstance(part, (Reduce, SetOf)) for inner in _per_member(part)}
+    return {id(inner) for part in parts(root) if isinstance(part, (Reduce, SetOf)) for inner in _member_parts(part)}
 
 
-def _per_member(part: Reduce | SetOf) -> Iterator[object]:
+def _member_parts(part: Reduce | SetOf) -> Iterator[object]:
     body = part.body if isinstance(part, Reduce) else part.where
     return parts(body) if body is not None else iter(())
 
@@ -119,25 +119,25 @@ def _operations(part: object) -> int:
     return 3 if part.type.kind.value == "vector" else 1
 
 
-def _use(part: object) -> Iterable[Use]:
+def _cost_entries(part: object) -> Iterable[CostEntry]:
     """What one node of the program asks for."""
     match part:
         case SetOf():
             cost = SET_SENSES[part.source].cost
-            return [] if cost is None else [_said(cost, part.of, part.args)]
+            return [] if cost is None else [_make_entry(cost, part.of, part.args)]
         case Op():
             cost = COSTS.get(part.name)
-            thing = next((arg.name for arg in part.args if isinstance(arg, Thing) and arg.name != "self"), "")
-            return [] if cost is None or (cost.named and not thing) else [_said(cost, thing, part.args, part.name)]
+            thing = next((arg.name for arg in part.args if isinstance(arg, ThingRef) and arg.name != "self"), "")
+            return [] if cost is None or (cost.named and not thing) else [_make_entry(cost, thing, part.args, part.name)]
         case Take():
-            return [_said(_TAKE, part.attribute or part.source.span.text)]
+            return [_make_entry(_TAKE, part.attribute or part.source.span.text)]
         case Ask():
             cost = EFFECTS[part.op].cost
-            return [] if cost is None else [_said(cost, part.of, part.args)]
+            return [] if cost is None else [_make_entry(cost, part.of, part.args)]
     return []
 
 
-def _said(cost: Cost, thing: str, args: tuple[Expr | None, ...] = (), op: str = "") -> Use:
+def _make_entry(cost: Cost, thing: str, args: tuple[Expr | None, ...] = (), op: str = "") -> CostEntry:
     """Return a use as its row describes it: count, thing and distance."""
     count = 1
     if cost.times is not None:
@@ -146,12 +146,12 @@ def _said(cost: Cost, thing: str, args: tuple[Expr | None, ...] = (), op: str = 
         count = int(known.number) if known is not None else cost.often
     words = cost.words.format(thing=thing, count=count, word=op.removesuffix("_agent"))
     if cost.within is not None and len(args) > cost.within and args[cost.within] is not None:
-        words += f" within {_words(args[cost.within])}"
-    return Use(cost.heading, words, cost.weight * count)
+        words += f" within {_argument_text(args[cost.within])}"
+    return CostEntry(cost.heading, words, cost.weight * count)
 
 
-def _words(expr: Expr | None) -> str:
+def _argument_text(expr: Expr | None) -> str:
     """Return an argument's text: that of the call of the behaviour, or that in the behaviour."""
-    while isinstance(expr, Local) and expr.binding.role == "argument" and expr.binding.value is not None:
+    while isinstance(expr, BindingRef) and expr.binding.role == "argument" and expr.binding.value is not None:
         expr = expr.binding.value
     return " ".join(expr.span.text.split()) if expr is not None else "any distance"

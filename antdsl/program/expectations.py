@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from antdsl.program.model import Binding, Expr, Type, value
+from antdsl.program.model import Binding, Expr, Type, expression_class
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 
-@value
+@expression_class
 class Aggregate(Expr):
     """A number or bool about a whole population. `how`: total mean min max share count any every. `over`: a SPECIES, ITEMS, FIELD
     or SOLID (its total is the volume).
@@ -21,42 +21,42 @@ class Aggregate(Expr):
     body: Expr | None
 
 
-@value
+@expression_class
 class AtStart(Expr):
     """The value of a number at the first frame of the spec, or in the first frame of each agent."""
 
     value: Expr
 
 
-@value
-class Other(Expr):
+@expression_class
+class OtherRun(Expr):
     """The value of a number about the whole in the spec's reference run, at the same frame."""
 
     value: Expr
 
 
-@value
-class Bodily(Expr):
+@expression_class
+class BodyMeasure(Expr):
     """The pose of an agent's body, by its name in GEOMETRY: values that agents themselves do not sense."""
 
     name: str
 
 
-@value
+@expression_class
 class CellValue(Expr):
     """The amount of a field in a cell, where cells are evaluated one by one."""
 
     field: str
 
 
-@value
-class Measured(Expr):
+@expression_class
+class MotionMeasure(Expr):
     """A measure of motion over the whole run, by its name in a run's summary."""
 
     name: str
 
 
-@value
+@expression_class
 class Reading:
     """A part of a condition with a value that is reported if it fails; `unit` is one that the author wrote there, or a usual
     one."""
@@ -65,7 +65,7 @@ class Reading:
     unit: str
 
 
-@value
+@expression_class
 class Expectation:
     """One expectation. `kind`: always never eventually finally sooner within for until. `species`: judged for each of its agents;
     None: for the whole. `held`: the condition counts once it has held for that time. `since`: the time starts whenever this
@@ -83,8 +83,8 @@ class Expectation:
     since: Expr | None = None
 
 
-@value
-class Changed:
+@expression_class
+class SpecChange:
     """`set NAME = V`: a param by its qualified name, or a setting of a field (`trail.half_life`)."""
 
     name: str
@@ -92,16 +92,16 @@ class Changed:
     span: Span
 
 
-@value
-class Against:
+@expression_class
+class ComparisonRun:
     """The run that a spec compares with: another scene, or the same, with changes in addition to the spec's own."""
 
     scene: nodes.Text | None
-    changes: tuple[Changed, ...]
+    changes: tuple[SpecChange, ...]
     span: Span
 
 
-@value
+@expression_class
 class Spec:
     """`share`: of the seeds that must pass."""
 
@@ -109,11 +109,11 @@ class Spec:
     scene: nodes.Text | None
     duration: Expr | None
     seeds: tuple[int, ...]
-    changes: tuple[Changed, ...]
+    changes: tuple[SpecChange, ...]
     expectations: tuple[Expectation, ...]
     span: Span
     share: float = 1.0
-    against: Against | None = None
+    against: ComparisonRun | None = None
 
 
 GEOMETRY = {"overlap": "number", "penetration": "length", "off_surface": "length"}

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from antdsl.diagnostics import Diagnostic
-from antdsl.program.names.bindings import Use
+from antdsl.program.names.bindings import NameUse
 from antdsl.source import Span
 
 if TYPE_CHECKING:
@@ -18,10 +18,10 @@ T = TypeVar("T")
 _Key = tuple[tuple[Any, ...], int]  # what a part is and depends on, and a number for all that it can see of the others
 
 
-def part(declared: Declared, key: tuple[Any, ...], make: Callable[[], T]) -> T:
+def cached_part(declared: Declared, key: tuple[Any, ...], make: Callable[[], T]) -> T:
     """Return what `make` returns, or returned in an earlier check with a retained memo. The key holds all that it depends on,
     apart from `declared.outside`."""
-    return make() if declared.memo is None else declared.memo.part(declared, (key, declared.outside), make)
+    return make() if declared.memo is None else declared.memo.cached_part(declared, (key, declared.outside), make)
 
 
 def update_outside(declared: Declared, outside: Hashable) -> int:
@@ -32,7 +32,7 @@ def update_outside(declared: Declared, outside: Hashable) -> int:
 
 
 @dataclass(frozen=True, slots=True)
-class _Known:
+class _CachedPart:
     """The result of a part. `expanded`: the number of operations of behaviours expanded for it."""
 
     result: Any
@@ -40,10 +40,10 @@ class _Known:
     used: frozenset[tuple[str, str]]
     written: frozenset[str]
     expanded: int
-    bound: tuple[Use, ...]
+    bound: tuple[NameUse, ...]
 
 
-class _Unknown(dict[tuple[str, ...], list[Span]]):
+class _UnknownNames(dict[tuple[str, ...], list[Span]]):
     """Unknown names that were reported. A part that was silent because of them may have to report another time."""
 
     silenced = False
@@ -58,7 +58,7 @@ class Memo:
     """Results of parts by all that they depend on. What a whole check did not use is forgotten after it."""
 
     def __init__(self) -> None:
-        self.known: dict[_Key, _Known] = {}
+        self.known: dict[_Key, _CachedPart] = {}
         self.asked: set[_Key] = set()
         self.numbers: dict[Hashable, int] = {}
         self.seen: set[int] = set()
@@ -73,7 +73,7 @@ class Memo:
         self.seen.add(self.numbers[value])
         return self.numbers[value]
 
-    def part(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
+    def cached_part(self, declared: Declared, key: _Key, make: Callable[[], T]) -> T:
         """Return the result of `make`, or its earlier result for the same key. Its findings, resolved names and counted uses and
         writes come with it."""
         self.asked.add(key)
@@ -91,24 +91,24 @@ class Memo:
         said, expanded, unknown_count = len(declared.report.diagnostics), declared.expanded, len(declared.unknown)
         bound = len(declared.bound)
         used, written, names = declared.used, declared.written, declared.unknown
-        declared.used, declared.written, declared.unknown = set(), set(), _Unknown(names)
+        declared.used, declared.written, declared.unknown = set(), set(), _UnknownNames(names)
         try:
             result = make()
         finally:
             own_used, own_written, own_unknown = declared.used, declared.written, declared.unknown
             declared.used, declared.written, declared.unknown = used | own_used, written | own_written, names | own_unknown
-        if len(own_unknown) == unknown_count and not (isinstance(own_unknown, _Unknown) and own_unknown.silenced):
+        if len(own_unknown) == unknown_count and not (isinstance(own_unknown, _UnknownNames) and own_unknown.silenced):
             complaints = tuple(declared.report.diagnostics[said:])
             spent = declared.expanded - expanded
             names_there = tuple(declared.bound[bound:])
-            self.known[key] = _Known(result, complaints, frozenset(own_used), frozenset(own_written), spent, names_there)
+            self.known[key] = _CachedPart(result, complaints, frozenset(own_used), frozenset(own_written), spent, names_there)
         return result
 
-    def keep(self, kinds: Collection[Hashable]) -> None:
+    def mark_used(self, kinds: Collection[Hashable]) -> None:
         """Count the results of some kinds of parts, by the first of their key, as used: they were left out this time."""
         self.asked |= {key for key in self.known if key[0][0] in kinds}
 
-    def forget(self) -> None:
+    def drop_unused(self) -> None:
         """Drop entries that the completed check did not use."""
         self.known = {key: value for key, value in self.known.items() if key in self.asked}
         used_numbers = self.seen.union(outside for _, outside in self.known)

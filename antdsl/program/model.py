@@ -16,19 +16,19 @@ from antdsl.program.kinds import Type as Type
 from antdsl.program.names.bindings import Bindings as Bindings
 from antdsl.program.typed import Attribute as Attribute
 from antdsl.program.typed import Binding as Binding
+from antdsl.program.typed import BindingRef as BindingRef
 from antdsl.program.typed import ClipTest as ClipTest
 from antdsl.program.typed import Const as Const
 from antdsl.program.typed import Expr as Expr
-from antdsl.program.typed import Inline as Inline
-from antdsl.program.typed import Local as Local
+from antdsl.program.typed import InlinedBehaviour as InlinedBehaviour
 from antdsl.program.typed import NoneRef as NoneRef
 from antdsl.program.typed import Op as Op
 from antdsl.program.typed import ParamRef as ParamRef
 from antdsl.program.typed import Reduce as Reduce
 from antdsl.program.typed import SetOf as SetOf
 from antdsl.program.typed import StateConst as StateConst
-from antdsl.program.typed import Thing as Thing
-from antdsl.program.typed import value as value
+from antdsl.program.typed import ThingRef as ThingRef
+from antdsl.program.typed import expression_class as expression_class
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -39,13 +39,13 @@ if TYPE_CHECKING:
 # --- statements ------------------------------------------------------------------------------------------------------
 
 
-@value
+@expression_class
 class Steer:
     push: Expr
     span: Span
 
 
-@value
+@expression_class
 class Face:
     """Turn the body towards `direction`; only its direction counts."""
 
@@ -53,7 +53,7 @@ class Face:
     span: Span
 
 
-@value
+@expression_class
 class Assign:
     """`op` is `=`, `+=` or `-=`. In a state's body an added value is a rate (per second; `per_second` True: multiply by dt)."""
 
@@ -67,7 +67,7 @@ class Assign:
     element: Binding | None = None
 
 
-@value
+@expression_class
 class Ask:
     """A request of the row `op` of `antdsl.program.tables.effects` to `of`. `args` are the row's `numbers` in order (None:
     absent). `own` is the attribute that the result is added to. `per_second`: the first of `args` is a rate, to be multiplied by
@@ -82,7 +82,7 @@ class Ask:
     key: str = ""
 
 
-@value
+@expression_class
 class Give:
     """`amount` None gives all. `to` has type ITEM, or ITEMS for the nearest one."""
 
@@ -93,7 +93,7 @@ class Give:
     span: Span
 
 
-@value
+@expression_class
 class Play:
     """`clip` is played as long as the state lasts, on the joints of the transform group `on` ("": all). It runs at `speed` times
     its own speed and with the share `weight` (None: 1). Where `again` holds as an agent comes into the state, it restarts. `add`:
@@ -109,7 +109,7 @@ class Play:
     blend_clips: tuple[str, str, str, str] = ("", "", "", "")  # clips for who turns left or right, climbs, goes down
 
 
-@value
+@expression_class
 class Wear:
     """Agents in the state show the geometry layer `layer` of their body beside its own, if `when` holds for them (None: all)."""
 
@@ -118,7 +118,7 @@ class Wear:
     span: Span
 
 
-@value
+@expression_class
 class Channel:
     """A channel of the body has this value for agents in the state, and overrides clips."""
 
@@ -127,7 +127,7 @@ class Channel:
     span: Span
 
 
-@value
+@expression_class
 class Look:
     """A transform group turns towards a place, at most `within` (None: 60 deg) from straight ahead. `over` (None: 0.2 s) sets how
     fast."""
@@ -142,7 +142,7 @@ class Look:
 Statement = Steer | Face | Assign | Ask | Give | Play | Wear | Channel | Look
 
 
-@value
+@expression_class
 class Take:
     """`source` has type ITEM, or FIELD for the cell below the feet. `amount` None takes all. Without an `attribute`, the amount
     taken from a field disappears."""
@@ -156,7 +156,7 @@ class Take:
 ANYWHERE = "from any"  # in the keys of those changes: no state can have this name
 
 
-@value
+@expression_class
 class Transition:
     """`condition` None is always true. All conditions that are present must hold: `delay` (time in the state), and `condition`
     for `held`."""
@@ -175,7 +175,7 @@ class Transition:
     over: Expr | None = None  # the time in which the clip of the state before gives way
 
 
-@value
+@expression_class
 class State:
     name: str
     index: int
@@ -189,7 +189,7 @@ class State:
     span: Span
 
 
-@value
+@expression_class
 class Machine:
     name: str  # `main` where the states stand straight in the species
     start: int
@@ -197,7 +197,7 @@ class Machine:
     span: Span
 
 
-@value
+@expression_class
 class AttributeDecl:
     """`default` is evaluated once, at birth (params and draws allowed). `is_builtin` marks built-in attributes such as size and
     max_speed."""
@@ -214,7 +214,7 @@ class AttributeDecl:
     strongest: int = 0
 
 
-@value
+@expression_class
 class Param:
     """`name` is qualified with its species. Numbers in base units; `unit` as the author wrote it."""
 
@@ -228,7 +228,7 @@ class Param:
     span: Span
 
 
-@value
+@expression_class
 class Handler:
     """`event`: spawn, collision, or an emitted one. For a collision, `other` is bound to the other agent, of the species `of`."""
 
@@ -239,7 +239,7 @@ class Handler:
     of: str = ""
 
 
-@value
+@expression_class
 class Layer:
     """`push` None is the word `state`: what the states steer. `faces`: a `face` line; its `push` turns the body alone."""
 
@@ -251,14 +251,14 @@ class Layer:
     faces: bool = False
 
 
-@value
+@expression_class
 class Layers:
     mode: str  # budget, sum, first
     layers: tuple[Layer, ...]
     span: Span
 
 
-@value
+@expression_class
 class Rest:
     """How agents stand still that no state steers. `silent`: of each machine that steers in some state, by its name, the indices
     of those states that steer nothing. An agent in silent states of all these machines requests `push`."""
@@ -268,7 +268,7 @@ class Rest:
     span: Span
 
 
-@value
+@expression_class
 class Species:
     name: str
     help: str
@@ -283,13 +283,13 @@ class Species:
     rest: Rest | None = None  # None: every state steers, or none does
 
     @property
-    def own(self) -> Mapping[str, Type]:
+    def own_types(self) -> Mapping[str, Type]:
         """Return the types of the named values of each agent: attributes, lets and latches."""
         lines: tuple[AttributeDecl | Binding, ...] = (*self.attributes, *self.lets, *self.latches)
         return {each.name: each.type for each in reversed(lines)}
 
 
-@value
+@expression_class
 class ItemAttribute:
     name: str
     type: Type
@@ -298,7 +298,7 @@ class ItemAttribute:
     span: Span
 
 
-@value
+@expression_class
 class WorldThing:
     """`kind`: surface obstacle solid items curve flow map species."""
 
@@ -309,7 +309,7 @@ class WorldThing:
     span: Span
 
 
-@value
+@expression_class
 class Field:
     """Settings absent are None. `keeps` is a factor per step; `combine` is add or max, `stencil` 4 or 8 and
     `deposits` last or first."""
@@ -328,7 +328,7 @@ class Field:
     span: Span
 
 
-@value
+@expression_class
 class Program:
     """All files together. A species of one file may be met by one of another."""
 

@@ -28,7 +28,7 @@ def parts(root: object) -> Iterator[object]:
             continue
         names = _INNER.get(kind)
         if names is None:
-            names = _INNER[kind] = _inner(kind)
+            names = _INNER[kind] = _child_fields(kind)
         if names and id(part) not in visited:
             visited.add(id(part))
             yield part
@@ -38,7 +38,7 @@ def parts(root: object) -> Iterator[object]:
 _LEAVES = frozenset((Span, str, int, float, bool, type(None), Type, Rate, Dim))
 
 
-def _inner(kind: type) -> tuple[str, ...]:
+def _child_fields(kind: type) -> tuple[str, ...]:
     """Return the names of the fields to descend into; empty for types outside programs."""
     if not is_dataclass(kind) or issubclass(kind, (Span, nodes.File)):
         return ()
@@ -47,13 +47,13 @@ def _inner(kind: type) -> tuple[str, ...]:
 
 def bindings_in(expr: model.Expr) -> set[model.Binding]:
     """Every binding that an expression uses, however deep."""
-    return {part.binding for part in parts(expr) if isinstance(part, model.Local)}
+    return {part.binding for part in parts(expr) if isinstance(part, model.BindingRef)}
 
 
 _FIELDS: dict[type, tuple[str, ...]] = {}
 
 
-def written(root: object) -> Iterator[tuple[object, int]]:
+def written_nodes(root: object) -> Iterator[tuple[object, int]]:
     """Every node of a tree as written with its depth below `root`, in text order."""
     stack: list[tuple[object, int]] = [(root, 0)]
     while stack:
@@ -74,7 +74,7 @@ def written(root: object) -> Iterator[tuple[object, int]]:
 
 def names_in(root: object) -> Iterator[nodes.Name]:
     """Every bare name that is used as a value below `root`."""
-    for part, _ in written(root):
+    for part, _ in written_nodes(root):
         if isinstance(part, nodes.NameRef):
             yield part.name
 
@@ -96,7 +96,7 @@ def _parts(each: object) -> list[object]:
     """What an expression or a binding is made of."""
     if isinstance(each, tuple):
         return list(each)
-    if isinstance(each, model.Local):
+    if isinstance(each, model.BindingRef):
         return [each.binding]
     if isinstance(each, model.Binding):
         return [each.value, each.then]
@@ -108,6 +108,6 @@ def _parts(each: object) -> list[object]:
         return [each.args, each.where]
     if isinstance(each, model.Reduce):
         return [each.over, each.body]
-    if isinstance(each, model.Inline):
+    if isinstance(each, model.InlinedBehaviour):
         return [each.arguments, each.body, each.result]
     return []

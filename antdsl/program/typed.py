@@ -10,18 +10,18 @@ from antdsl.source import Span
 
 
 @dataclass_transform(eq_default=False, frozen_default=True)
-def value(cls: type) -> type:
+def expression_class(cls: type) -> type:
     return dataclass(frozen=True, slots=True, eq=False, repr=False)(cls)
 
 
-@value
+@expression_class
 class Expr:
     type: Type
     rate: Rate
     span: Span
 
 
-@value
+@expression_class
 class Const(Expr):
     """A number in base units (mm, s, g, rad; bool as 0 or 1), times `unit ** u` (mm per scene unit) and `dt ** step`."""
 
@@ -30,12 +30,12 @@ class Const(Expr):
     step: float = 0
 
 
-@value
+@expression_class
 class NoneRef(Expr):
     """No item or no agent; the type says of what."""
 
 
-@value
+@expression_class
 class StateConst(Expr):
     """A state's index within its machine."""
 
@@ -43,7 +43,7 @@ class StateConst(Expr):
     index: int
 
 
-@value
+@expression_class
 class ClipTest(Expr):
     """Whether the clip of a machine has been played to its end, or has come to a `mark` ("": its end) in the last step."""
 
@@ -51,14 +51,14 @@ class ClipTest(Expr):
     mark: str
 
 
-@value
+@expression_class
 class ParamRef(Expr):
     """A param by its qualified name, `forager.smell`."""
 
     name: str
 
 
-@value
+@expression_class
 class Attribute(Expr):
     """An attribute of the agent itself (`of` None), or of the agent, item, hit or set element in `of`.
 
@@ -71,7 +71,7 @@ class Attribute(Expr):
     name: str
 
 
-@value
+@expression_class
 class Binding:
     """A named value: `let` (value), `argument` (value), `keep` (value is the first, `then` the next), `element` of a set,
     `latch` (value switches on, `then` off). `key` is the stable identity of memories: `forager.main.search.wander#1.bearing`.
@@ -88,21 +88,21 @@ class Binding:
     snapshot: bool = False
 
 
-@value
-class Local(Expr):
+@expression_class
+class BindingRef(Expr):
     """A use of a binding."""
 
     binding: Binding
 
 
-@value
-class Thing(Expr):
+@expression_class
+class ThingRef(Expr):
     """A thing of the world or a species as an argument: its name, and the kind of thing. `self` (AGENT) is the agent."""
 
     name: str
 
 
-@value
+@expression_class
 class Op(Expr):
     """A built-in operation of vocabulary.OPS with its arguments in the vocabulary's order, defaults filled in (an absent
     optional argument is None). `site` is the stable identity of a draw (`….uniform#1`) or of a ray, else empty."""
@@ -112,7 +112,7 @@ class Op(Expr):
     site: str = ""
 
 
-@value
+@expression_class
 class SetOf(Expr):
     """A set: `source` is `neighbours` (args radius, fov), `all` (args within or None), `feelers` (args count, spread, reach);
     `of` names the species, items or obstacle; `where` is the condition on `element` (or None)."""
@@ -124,7 +124,7 @@ class SetOf(Expr):
     where: Expr | None
 
 
-@value
+@expression_class
 class Reduce(Expr):
     """`how`: sum mean min max count any every best (the element with the greatest body) nearest (the element with the least
     distance; body None). `element` is bound in `body`; it may differ from `over.element`, which is bound in its `where`."""
@@ -135,8 +135,8 @@ class Reduce(Expr):
     body: Expr | None
 
 
-@value
-class Inline(Expr):
+@expression_class
+class InlinedBehaviour(Expr):
     """A behaviour call, expanded for the types of this call: bind `arguments`, then `body` (lets, keeps), then `result`."""
 
     behaviour: str

@@ -46,8 +46,8 @@ class _Process:
     """A running child, and what confines it."""
 
     def __init__(self, folder: Path, modules: Sequence[str]) -> None:
-        readable = [*confinement.installation(), str(folder)]
-        configuration = json.dumps({"paths": confinement.paths(), "readable": readable, "modules": modules})
+        readable = [*confinement.readable_folders(), str(folder)]
+        configuration = json.dumps({"paths": confinement.module_folders(), "readable": readable, "modules": modules})
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-S", str(_PROGRAM), configuration],
             stdin=subprocess.PIPE,
@@ -62,7 +62,7 @@ class _Process:
         self.active: dict[str, int] | None = None
         self._seconds = 0.0
 
-    def greeted(self) -> dict[str, int]:
+    def read_greeting(self) -> dict[str, int]:
         """Return the layers that confine it, from its start message."""
         if self.active is None:
             said = read_message(self.answers, 0).document.get("active")
@@ -106,7 +106,7 @@ class _Process:
         previous_seconds, self._seconds = self._seconds, max(self._seconds, total)
         return self._seconds - previous_seconds
 
-    def forget(self) -> None:
+    def close_pipes(self) -> None:
         """Close this process's ends of the pipes: the child belongs to the process that this one was forked from."""
         nothing = os.open(os.devnull, os.O_RDWR)
         for pipe in (self.requests, self.answers):
@@ -138,15 +138,15 @@ class Reader:
     def folder(self) -> Path:
         """Return a new folder with files that the child may open. Raises OSError."""
         with self._lock:
-            return self._private().new()
+            return self._private_folder().new_folder()
 
-    def active(self) -> dict[str, int]:
+    def active_layers(self) -> dict[str, int]:
         """Which layers confine the child: `rlimits`, `landlock` (its ABI), `seccomp`; 0 for one that this system has not."""
         with self._lock:
             try:
                 running = self._start()
                 with _deadline(running, limits.READER_WALL_SECONDS):
-                    return running.greeted()
+                    return running.read_greeting()
             except (OSError, ProtocolError) as problem:
                 self._end()
                 if address_space() < limits.READER_MEMORY:
@@ -161,7 +161,7 @@ class Reader:
             if files and files not in self._known:
                 self._known.add(files)
                 self._allowed += size / limits.READER_BYTES_A_SECOND
-            self._refuse(digest, files)
+            self._refuse_repeat(digest, files)
             try:
                 return self._ask(kind, document, arrays, size, seconds)
             except ReaderFailure as why:
@@ -178,7 +178,7 @@ class Reader:
                 self._end(is_counted=False)
                 raise
 
-    def _refuse(self, digest: str, files: str) -> None:
+    def _refuse_repeat(self, digest: str, files: str) -> None:
         """Raise ReaderFailure for a request that failed before, and for every request once the scene has used its CPU time."""
         for failures, key in ((self._failures, digest), (self._heavy, files)):
             if key and key in failures:
@@ -190,7 +190,7 @@ class Reader:
     def _ask(self, kind: str, document: Mapping[str, Any], arrays: Arrays, size: int, seconds: int) -> Message:
         assert kind in READERS
         seconds += limits.READER_SECONDS + size // limits.READER_BYTES_A_SECOND
-        left = cpu_budget.remaining()
+        left = cpu_budget.remaining_seconds()
         memory = min(limits.READER_MEMORY + limits.READER_MEMORY_A_BYTE * size, limits.READER_MEMORY_MOST)
         said = {**document, "kind": kind, "seconds": seconds if left > seconds else math.ceil(left), "memory": memory}
         try:
@@ -201,28 +201,28 @@ class Reader:
         late, previous_seconds = threading.Event(), self._seconds
         try:
             with _deadline(running, limits.READER_WALL_SECONDS + 4 * seconds, late):
-                running.greeted()
+                running.read_greeting()
                 write_message(running.requests, said, arrays)
                 answer = read_message(running.answers, limits.READER_BYTES)
         except (EndOfMessages, BrokenPipeError):
             status = self._end()
             if status == _OVERDUE and left <= seconds:
                 cpu_budget.charge(math.inf)  # the budget ended it, not the limit of a request
-            failure = _death(running, status, late.is_set(), memory)
+            failure = _death_failure(running, status, late.is_set(), memory)
             failure.is_heavy |= self._seconds - previous_seconds > limits.READER_SECONDS / 2
             raise failure from None
         except ProtocolError:
             self._end()
             raise ReaderFailure(_SENSELESS, _DAMAGED) from None
-        self._count(running.new_seconds(answer.document.get("cpu")))
-        return self._judged(answer, memory)
+        self._count_seconds(running.new_seconds(answer.document.get("cpu")))
+        return self._check_answer(answer, memory)
 
-    def _count(self, seconds: float) -> None:
+    def _count_seconds(self, seconds: float) -> None:
         """Add CPU time of the child to that of this scene, and charge it to the budget of the check."""
         self._seconds += seconds
         cpu_budget.charge(seconds)
 
-    def _judged(self, answer: Message, memory: int) -> Message:
+    def _check_answer(self, answer: Message, memory: int) -> Message:
         said = answer.document
         if isinstance(said.get("answer"), dict):
             return Message(said["answer"], answer.arrays)
@@ -232,7 +232,7 @@ class Reader:
                 raise refusal
         if said.get("failure") == "memory":
             self._end()
-            raise _no_memory(memory)
+            raise _memory_failure(memory)
         if said.get("failure") == "exception":
             raise ReaderFailure("cannot be read: it is damaged", _DAMAGED)
         self._end()
@@ -247,10 +247,10 @@ class Reader:
         if self._running is not None and self._running.process.poll() is not None:
             self._end()  # it died between two requests
         if self._running is None:
-            self._running = _Process(self._private().path, modules)
+            self._running = _Process(self._private_folder().path, modules)
         return self._running
 
-    def _private(self) -> PrivateFolder:
+    def _private_folder(self) -> PrivateFolder:
         if self._folder is None:
             self._folder = PrivateFolder()
             if "multiprocessing.util" in sys.modules:  # a process of a pool leaves without the functions of `atexit`
@@ -264,7 +264,7 @@ class Reader:
         running, self._running = self._running, None
         status, seconds = (0, 0.0) if running is None else running.end()
         if is_counted:
-            self._count(seconds)
+            self._count_seconds(seconds)
         return status
 
     def end(self) -> None:
@@ -278,7 +278,7 @@ class Reader:
     def forget(self) -> None:
         """After a fork: leave the child to its owner."""
         if self._running is not None:
-            self._running.forget()
+            self._running.close_pipes()
 
 
 _DAMAGED = "export it again"
@@ -306,14 +306,14 @@ def _deadline(running: _Process, seconds: float, late: threading.Event | None = 
         timer.cancel()
 
 
-def _death(running: _Process, status: int, is_late: bool, memory: int) -> ReaderFailure:
+def _death_failure(running: _Process, status: int, is_late: bool, memory: int) -> ReaderFailure:
     """Return why a child ended without an answer to a request that may use `memory` bytes. Raises MemoryError if this process
     cannot grant that much."""
     if is_late or status == _OVERDUE:
         words = "cannot be read: it takes too long to be read"
         return ReaderFailure(words, _LIGHTER, is_lasting=not is_late, is_heavy=True)
     if status == _KILLED or address_space() < memory:
-        return _no_memory(memory)
+        return _memory_failure(memory)
     if running.active is None:
         words = "cannot be read: the process that reads it ends when it starts"
         return ReaderFailure(words, "run `antdsl doctor`", is_lasting=False)
@@ -321,7 +321,7 @@ def _death(running: _Process, status: int, is_late: bool, memory: int) -> Reader
     return ReaderFailure(f"cannot be read: {words}", _DAMAGED)
 
 
-def _no_memory(needed: int) -> ReaderFailure:
+def _memory_failure(needed: int) -> ReaderFailure:
     """Return the failure of a request that ran out of memory. Raises MemoryError if the limit of this process is the cause, not
     that of the request."""
     if address_space() < needed:
@@ -373,7 +373,7 @@ def new_folder() -> Path:
 
 def active_layers() -> dict[str, int]:
     """Return the layers that confine the reader on this system; ReaderFailure if it cannot be started."""
-    return _reader.active()
+    return _reader.active_layers()
 
 
 _of_owners: list[Reader] = []  # never freed: a thread that is not in this process may hold their locks
@@ -384,7 +384,7 @@ def end_reader() -> None:
     _reader.end()
 
 
-def _forked() -> None:
+def _after_fork() -> None:
     global _reader
     _reader.forget()
     _of_owners.append(_reader)
@@ -392,4 +392,4 @@ def _forked() -> None:
 
 
 if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forked)
+    os.register_at_fork(after_in_child=_after_fork)

@@ -44,7 +44,7 @@ def environment() -> dict[str, str]:
     return variables | _SET
 
 
-def paths() -> list[str]:
+def module_folders() -> list[str]:
     """Folders of modules for the child: those of this process without relative ones and the working directory, then that of
     antdsl itself."""
     try:
@@ -52,17 +52,19 @@ def paths() -> list[str]:
     except OSError:
         working_folder = ""
     folders = [
-        path for path in sys.path if os.path.isabs(path) and (os.path.realpath(path) != working_folder or _is_installation(path))
+        path
+        for path in sys.path
+        if os.path.isabs(path) and (os.path.realpath(path) != working_folder or _is_package_folder(path))
     ]
     return folders if INSTALLATION in folders else [*folders, INSTALLATION]
 
 
-def installation() -> list[str]:
+def readable_folders() -> list[str]:
     """Folders and files that the child may read: Python, installed packages and the system's libraries."""
     readable_paths = {sys.prefix, sys.base_prefix, sys.exec_prefix, str(_package()), *_SYSTEM}
     if sys.prefix == "/usr" or sys.base_prefix == "/usr":
         readable_paths -= {"/usr"}
-    readable_paths |= {path for path in paths() if _is_installation(path)}
+    readable_paths |= {path for path in module_folders() if _is_package_folder(path)}
     readable_paths |= {path for name in ("stdlib", "platstdlib") if (path := sysconfig.get_path(name))}
     return sorted(path for path in readable_paths if os.path.exists(path))
 
@@ -72,7 +74,7 @@ def _package() -> Path:
     return Path(__file__).resolve().parents[1]
 
 
-def _is_installation(path: str) -> bool:
+def _is_package_folder(path: str) -> bool:
     """Whether a folder of modules is Python's own, or packages are installed in it."""
     real_path = os.path.realpath(path)
     roots = [sys.prefix, sys.base_prefix, *_site_packages()]

@@ -45,7 +45,7 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: in
     digest = blake2b(repr(sorted(said.items())).encode() + data, digest_size=16).hexdigest()
     try:
         answer = client.ask("image", said, {"data": np.frombuffer(data, np.uint8)}, size=len(data), digest=digest, files=digest)
-        return _checked(answer, said["modes"], pixels)
+        return _check_answer(answer, said["modes"], pixels)
     except Refusal as why:
         raise ImageError(f"cannot be read as {format} ({why})", "export the image again") from None
     except client.ReaderFailure as why:
@@ -56,7 +56,7 @@ def read_image_file(data: bytes, format: str, modes: Collection[str], pixels: in
         ) from None
 
 
-def _checked(answer: Message, modes: Any, pixels: int) -> ImageFile:
+def _check_answer(answer: Message, modes: Any, pixels: int) -> ImageFile:
     said = answer.document
     mode, texts = said.get("mode"), said.get("texts")
     rows, columns, pages = (int(answer.number(name)) for name in ("rows", "columns", "pages"))

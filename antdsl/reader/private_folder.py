@@ -21,12 +21,12 @@ class PrivateFolder:
         remove_stale()
         self._whole = Path(os.path.abspath(tempfile.mkdtemp(prefix=_PREFIX)))  # the child has another working directory
         self._process = os.getpid()
-        self._lock = _locked(self._whole / _LOCK, os.O_CREAT)
+        self._lock = _try_lock(self._whole / _LOCK, os.O_CREAT)
         self.path = self._whole / _FILES
         self.path.mkdir(mode=0o700)
         self._count = 0
 
-    def new(self) -> Path:
+    def new_folder(self) -> Path:
         """An empty folder in it."""
         self._count += 1
         folder = self.path / str(self._count)
@@ -55,13 +55,13 @@ def remove_stale() -> None:
 def _remove_if_stale(folder: Path) -> None:
     if hasattr(os, "getuid") and folder.lstat().st_uid != os.getuid():
         return
-    lock = _locked(folder / _LOCK, 0)
+    lock = _try_lock(folder / _LOCK, 0)
     if lock is not None:
         shutil.rmtree(folder, ignore_errors=True)
         os.close(lock)
 
 
-def _locked(path: Path, flags: int) -> int | None:
+def _try_lock(path: Path, flags: int) -> int | None:
     """A handle that holds the lock of a folder until its process ends; None where another process holds it, or it is missing."""
     try:
         import fcntl

@@ -121,26 +121,26 @@ def write_message(file: IO[bytes], document: Mapping[str, Any], arrays: Arrays) 
 
 def read_message(file: IO[bytes], most: int) -> Message:
     """Return the next message; its arrays have at most `most` bytes together. Raises ProtocolError for anything else."""
-    magic, length = _PREFIX.unpack(_read(file, _PREFIX.size).tobytes())
+    magic, length = _PREFIX.unpack(_read_bytes(file, _PREFIX.size).tobytes())
     if magic != MAGIC or length > limits.READER_HEADER_BYTES:
         raise ProtocolError("a message begins with other bytes")
     try:
-        header = json.loads(_read(file, length).tobytes(), parse_constant=_refuse_constant)
+        header = json.loads(_read_bytes(file, length).tobytes(), parse_constant=_refuse_constant)
     except (ValueError, RecursionError):
         raise ProtocolError("the header of a message is not JSON") from None
     if not isinstance(header, dict) or not isinstance(header.get("document"), dict) or not isinstance(header.get("arrays"), list):
         raise ProtocolError("the header of a message has not the keys of one")
-    plan = [_entry(entry) for entry in header["arrays"]]
+    plan = [_parse_entry(entry) for entry in header["arrays"]]
     if len(plan) > _ARRAYS or sum(size for *_, size in plan) > most or len({name for name, *_ in plan}) != len(plan):
         raise ProtocolError("a message has more or larger arrays than are accepted")
     arrays = {}
     for name, dtype, shape, size in plan:
         native = np.dtype(dtype).newbyteorder("=")
-        arrays[name] = _read(file, size).view(dtype).astype(native, copy=False).reshape(shape)
+        arrays[name] = _read_bytes(file, size).view(dtype).astype(native, copy=False).reshape(shape)
     return Message(header["document"], arrays)
 
 
-def _entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
+def _parse_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
     """Name, type, shape and size in bytes of an array that a header announces."""
     if not isinstance(entry, list) or len(entry) != 3:
         raise ProtocolError("an array is announced in another form")
@@ -152,7 +152,7 @@ def _entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
     return name, dtype, tuple(shape), prod(shape) * np.dtype(dtype).itemsize
 
 
-def _read(file: IO[bytes], size: int) -> NDArray[np.uint8]:
+def _read_bytes(file: IO[bytes], size: int) -> NDArray[np.uint8]:
     """Read exactly `size` bytes. Memory grows with the bytes that arrive, not with the announced size."""
     buffer = np.empty(min(size, _BLOCK), np.uint8)
     filled = 0

@@ -30,11 +30,11 @@ def limit_resources() -> bool:
         import resource
     except ImportError:
         return False
-    _lower("RLIMIT_AS", MEMORY_MOST, hard=True)
-    _lower("RLIMIT_NOFILE", _FILES, hard=True)
-    _lower("RLIMIT_FSIZE", 0, hard=True)
-    _lower("RLIMIT_CORE", 0, hard=True)
-    _lower("RLIMIT_STACK", _STACK)
+    _lower_limit("RLIMIT_AS", MEMORY_MOST, hard=True)
+    _lower_limit("RLIMIT_NOFILE", _FILES, hard=True)
+    _lower_limit("RLIMIT_FSIZE", 0, hard=True)
+    _lower_limit("RLIMIT_CORE", 0, hard=True)
+    _lower_limit("RLIMIT_STACK", _STACK)
     del resource
     return True
 
@@ -46,8 +46,8 @@ def limit_request(seconds: int, memory: int) -> None:
     except ImportError:
         return
     used = resource.getrusage(resource.RUSAGE_SELF)
-    _lower("RLIMIT_CPU", int(used.ru_utime + used.ru_stime) + 1 + seconds)
-    _lower("RLIMIT_AS", memory)
+    _lower_limit("RLIMIT_CPU", int(used.ru_utime + used.ru_stime) + 1 + seconds)
+    _lower_limit("RLIMIT_AS", memory)
 
 
 def allow_memory(extra_bytes: int) -> None:
@@ -63,7 +63,7 @@ def allow_memory(extra_bytes: int) -> None:
         resource.setrlimit(resource.RLIMIT_AS, (most if hard == resource.RLIM_INFINITY else min(most, hard), hard))
 
 
-def _lower(name: str, most: int, *, hard: bool = False) -> None:
+def _lower_limit(name: str, most: int, *, hard: bool = False) -> None:
     import resource
 
     which = getattr(resource, name, None)
@@ -88,7 +88,7 @@ _FILE_RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15, 5: 16}  # bits that each ABI knows
 def restrict_files(folders: Sequence[str]) -> int:
     """Allow files to be opened only below these folders (or these files), and only for reading. Return the ABI in use, 0 if there
     is none."""
-    libc = _libc()
+    libc = _load_libc()
     if libc is None or sys.platform != "linux":
         return 0
     abi = int(libc.syscall(_CREATE, None, 0, 1))
@@ -101,7 +101,7 @@ def restrict_files(folders: Sequence[str]) -> int:
         return 0
     try:
         for folder in folders:
-            _allow(libc, ruleset, folder)
+            _allow_path(libc, ruleset, folder)
         if libc.prctl(38, 1, 0, 0, 0) or libc.syscall(_RESTRICT, ruleset, 0):
             return 0
     finally:
@@ -109,7 +109,7 @@ def restrict_files(folders: Sequence[str]) -> int:
     return abi
 
 
-def _allow(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
+def _allow_path(libc: ctypes.CDLL, ruleset: int, path: str) -> None:
     try:
         handle = os.open(path, os.O_PATH | os.O_CLOEXEC)
     except OSError:
@@ -162,11 +162,11 @@ Instruction = tuple[int, int, int, int]
 
 def refuse_calls() -> bool:
     """Install the seccomp filter for this process; return False if there is none."""
-    libc = _libc()
+    libc = _load_libc()
     if libc is None or sys.platform != "linux" or os.uname().machine not in _MACHINES or sys.maxsize < 1 << 32:
         return False
     which, architecture = _MACHINES[os.uname().machine]
-    program = _program(which, architecture, os.getpid())
+    program = _filter_program(which, architecture, os.getpid())
     code = b"".join(struct.pack("<HBBI", *each) for each in program)
     buffer = ctypes.create_string_buffer(code, len(code))
     head = struct.pack("@HxxxxxxP", len(program), ctypes.addressof(buffer))
@@ -175,37 +175,39 @@ def refuse_calls() -> bool:
     return not libc.prctl(22, 2, head, 0, 0)
 
 
-def _program(which: int, architecture: int, process: int) -> list[Instruction]:
+def _filter_program(which: int, architecture: int, process: int) -> list[Instruction]:
     """The filter as instructions (code, jump where true, jump where false, operand) of the classic packet filter."""
     refused = _FAIL | errno.EPERM
     lines: list[Instruction] = [(_LOAD, 0, 0, 4), (_EQUAL, 1, 0, architecture), (_RETURN, 0, 0, _KILL), (_LOAD, 0, 0, 0)]
     if which == 0:  # the x32 calls of x86-64 have numbers of their own
         lines += [(_ABOVE, 0, 1, 0x40000000), (_RETURN, 0, 0, refused)]
     for call in _REFUSED.values():
-        lines += _where(call[which], [(_RETURN, 0, 0, refused)])
+        lines += _match_call(call[which], [(_RETURN, 0, 0, refused)])
     for call in (_OPENAT2, _CLONE3):  # their arguments are behind a pointer; the C library falls back to the older calls
-        lines += _where(call[which], [(_RETURN, 0, 0, _FAIL | errno.ENOSYS)])
+        lines += _match_call(call[which], [(_RETURN, 0, 0, _FAIL | errno.ENOSYS)])
     allow, refuse = (_RETURN, 0, 0, _ALLOW), (_RETURN, 0, 0, refused)
-    lines += _where(_OPEN[which], [(_LOAD, 0, 0, _argument(1)), (_BITS, 0, 1, _WRITES), refuse, allow])
-    lines += _where(_OPENAT[which], [(_LOAD, 0, 0, _argument(2)), (_BITS, 0, 1, _WRITES), refuse, allow])
-    lines += _where(_CLONE[which], [(_LOAD, 0, 0, _argument(0)), (_BITS, 1, 0, _THREAD), refuse, allow])
-    lines += _where(_TGKILL[which], [(_LOAD, 0, 0, _argument(0)), (_EQUAL, 1, 0, process), refuse, allow])
-    lines += _where(_PRLIMIT[which], [(_LOAD, 0, 0, _argument(0)), (_EQUAL, 2, 0, 0), (_EQUAL, 1, 0, process), refuse, allow])
-    lines += _where(_IOCTL[which], [(_LOAD, 0, 0, _argument(1)), (_EQUAL, 0, 1, _TIOCSTI), refuse, allow])
+    lines += _match_call(_OPEN[which], [(_LOAD, 0, 0, _argument_offset(1)), (_BITS, 0, 1, _WRITES), refuse, allow])
+    lines += _match_call(_OPENAT[which], [(_LOAD, 0, 0, _argument_offset(2)), (_BITS, 0, 1, _WRITES), refuse, allow])
+    lines += _match_call(_CLONE[which], [(_LOAD, 0, 0, _argument_offset(0)), (_BITS, 1, 0, _THREAD), refuse, allow])
+    lines += _match_call(_TGKILL[which], [(_LOAD, 0, 0, _argument_offset(0)), (_EQUAL, 1, 0, process), refuse, allow])
+    lines += _match_call(
+        _PRLIMIT[which], [(_LOAD, 0, 0, _argument_offset(0)), (_EQUAL, 2, 0, 0), (_EQUAL, 1, 0, process), refuse, allow]
+    )
+    lines += _match_call(_IOCTL[which], [(_LOAD, 0, 0, _argument_offset(1)), (_EQUAL, 0, 1, _TIOCSTI), refuse, allow])
     return [*lines, allow]
 
 
-def _where(number: int | None, then: list[Instruction]) -> list[Instruction]:
+def _match_call(number: int | None, then: list[Instruction]) -> list[Instruction]:
     """Return the instructions for one system call. The call's number stays loaded for the next test."""
     return [] if number is None else [(_EQUAL, 0, len(then), number), *then]
 
 
-def _argument(number: int) -> int:
+def _argument_offset(number: int) -> int:
     """Return the offset of the lower half of an argument in the filter's input."""
     return 16 + 8 * number
 
 
-def _libc() -> ctypes.CDLL | None:
+def _load_libc() -> ctypes.CDLL | None:
     try:
         return ctypes.CDLL(None, use_errno=True)
     except (OSError, TypeError):

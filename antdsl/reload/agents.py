@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from antdsl.numerics.vector_rows import length
 from antdsl.plan import ir
 from antdsl.plan.registers import pair_values
-from antdsl.plan.traverse import needed
-from antdsl.reload.footing import MIN_DISTANCE, stand, turn
+from antdsl.plan.traverse import required_nodes
+from antdsl.reload.footing import MIN_DISTANCE, align_with_ground, find_footings
 from antdsl.runtime.binding.bind_world import run_value
 from antdsl.runtime.binding.placing import give_at_birth
 from antdsl.runtime.binding.reuse import digest
-from antdsl.runtime.lifecycle import come_alive
+from antdsl.runtime.lifecycle import initialise_newborn
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import Population, World, add_rows, stored_registers
 from antdsl.scene.setting import Setting
@@ -49,7 +49,7 @@ def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Mig
     keep. `complete` fills the other registers once all species exist."""
     old_population, new_population = old.populations[name], world.populations[name]
     migrated = MigratedSpecies(name, len(rows))
-    footing, place, moved = stand(old, world, old_population)
+    footing, place, moved = find_footings(old, world, old_population)
     add_rows(new_population, old_population.ids[rows].copy(), old.frame, place[rows], footing.take(rows))
     new_population.born, new_population.quarantined = old_population.born[rows].copy(), old_population.quarantined[rows].copy()
     new_population.normal, new_population.next_id = old_population.normal[rows].copy(), old_population.next_id
@@ -58,19 +58,19 @@ def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Mig
             new_population.events[event] = old_population.events[event][rows].copy()
     values = {
         register: old_population.now[register][rows]
-        for register in _same(old, world, old_population.plan, new_population.plan, migrated)
+        for register in _matching_registers(old, world, old_population.plan, new_population.plan, migrated)
     }
-    _states(old_population.plan, new_population.plan, values, migrated)
-    _clips(old_population.plan, new_population.plan, values)
-    _items(old, world, new_population.plan, values)
-    _pairs(old_population, world, new_population.plan, rows, values)
-    _put(new_population, values)
-    turn(world, new_population, moved[rows])
+    _migrate_states(old_population.plan, new_population.plan, values, migrated)
+    _migrate_clips(old_population.plan, new_population.plan, values)
+    _migrate_items(old, world, new_population.plan, values)
+    _migrate_pairs(old_population, world, new_population.plan, rows, values)
+    _append_agents(new_population, values)
+    align_with_ground(world, new_population, moved[rows])
     migrated.moved = int(np.count_nonzero(length(new_population.position - old_population.position[rows]) > MIN_DISTANCE))
     return migrated, values | {register: new_population.now[register].copy() for register in _ALWAYS}
 
 
-def complete(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
+def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
     """Fill the registers of a species that are not among `values` as those of an agent that is born here and now. Other requests
     at birth have no effect."""
     population = world.populations[name]
@@ -81,12 +81,12 @@ def complete(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
         if crowd.species == name and crowd.place.values:
             first = (population.born == world.setting.first_frame) & (population.now["group"] == crowd.group)
             give_at_birth(population, np.flatnonzero(first), crowd.place)
-    come_alive(world, {name: np.arange(len(population))})
+    initialise_newborn(world, {name: np.arange(len(population))})
     population.effects = Effects()
-    _put(population, values)
+    _append_agents(population, values)
 
 
-def _put(population: Population, values: dict[str, NDArray[Any]]) -> None:
+def _append_agents(population: Population, values: dict[str, NDArray[Any]]) -> None:
     for name, array in values.items():
         population.now[name][:] = array
         if population.start[name] is not population.now[name]:
@@ -96,37 +96,41 @@ def _put(population: Population, values: dict[str, NDArray[Any]]) -> None:
 # --- which registers ---------------------------------------------------------------------------------------------------
 
 
-def _same(old: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, migrated: MigratedSpecies) -> list[str]:
+def _matching_registers(
+    old: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, migrated: MigratedSpecies
+) -> list[str]:
     """Return the registers with values that continue, by name; findings about the others go into `migrated`."""
     matching = [
         name
         for name, register in new_plan.registers.items()
-        if register.role != "temp" and name in old_plan.registers and _means(old_plan.registers[name]) == _means(register)
+        if register.role != "temp"
+        and name in old_plan.registers
+        and _register_meaning(old_plan.registers[name]) == _register_meaning(register)
     ]
     lasting = {
         name for name in matching if not name.endswith(".on") or _is_complete(name.removesuffix(".on"), new_plan, matching)
     }
-    rewritten = _rewritten(old, world, old_plan, new_plan) & lasting
+    rewritten = _changed_defaults(old, world, old_plan, new_plan) & lasting
     for name, register in new_plan.registers.items():
         if register.role == "attribute" and name not in lasting:
             known = name in old_plan.registers and old_plan.registers[name].role == "attribute"
-            _note(migrated.other if known else migrated.new, name)
+            _add_register_name(migrated.other if known else migrated.new, name)
     for name, slots in pair_values(new_plan.registers).items():
         known = slots[0][1] in old_plan.registers
         if not known or slots[0][1] not in lasting:
-            _note(migrated.other if known else migrated.new, name)
+            _add_register_name(migrated.other if known else migrated.new, name)
     removed_names = pair_values(old_plan.registers).keys() - pair_values(new_plan.registers).keys()
     migrated.removed_attributes += sorted(removed_names)
     for name, register in old_plan.registers.items():
         if register.role == "attribute" and name not in new_plan.registers:
-            _note(migrated.removed_attributes, name)
+            _add_register_name(migrated.removed_attributes, name)
         migrated.forgotten += register.role == "memory" and name not in lasting and not name.endswith(".on")
     for name in sorted(rewritten):
-        _note(migrated.rewritten, name)
+        _add_register_name(migrated.rewritten, name)
     return [name for name in matching if name in lasting and name not in rewritten]
 
 
-def _means(register: ir.Register) -> tuple[object, ...]:
+def _register_meaning(register: ir.Register) -> tuple[object, ...]:
     return register.kind, register.role, register.of, register.holds
 
 
@@ -136,7 +140,7 @@ def _is_complete(memory: str, new_plan: ir.SpeciesPlan, matching: list[str]) -> 
     return all(name in matching for name in values)
 
 
-def _rewritten(old: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
+def _changed_defaults(old: World, world: World, old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan) -> set[str]:
     """Return the attributes that are set only at birth, before and now, and have another birth value now. These take the new
     value."""
     one, other = birth_values(old_plan, params_at_birth(old)), birth_values(new_plan, params_at_birth(world))
@@ -155,7 +159,7 @@ def _place_digests(setting: Setting, species: str, attribute: str) -> list[str]:
     return [digest(crowd.place.values.get(attribute)) for crowd in setting.crowds if crowd.species == species]
 
 
-def _note(names: list[str], register: str) -> None:
+def _add_register_name(names: list[str], register: str) -> None:
     """A vector's three registers are one name."""
     name = register[:-2] if register[-2:] in (".x", ".y", ".z") else register
     if name not in names:
@@ -165,7 +169,7 @@ def _note(names: list[str], register: str) -> None:
 # --- what registers point to ---------------------------------------------------------------------------------------------
 
 
-def _states(
+def _migrate_states(
     old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]], migrated: MigratedSpecies
 ) -> None:
     """Convert numbers of states into the current ones, by name; agents in a removed state start again."""
@@ -174,7 +178,7 @@ def _states(
         known = machines.get(machine.name)
         if known is None or f"{machine.name}.state" not in values:
             continue
-        number = _renumbered(known, machine)
+        number = _state_numbers(known, machine)
         now = values[f"{machine.name}.state"]
         state = number[now]
         lost = state < 0
@@ -192,7 +196,7 @@ def _states(
         values[f"{machine.name}.time_in_state"] = np.where(lost, 0, time).astype(time.dtype)
 
 
-def _clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
+def _migrate_clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
     """Renumber clips to their current numbers; a clip that is no longer played becomes none."""
     number = np.array([new_plan.clips.index(clip) if clip in new_plan.clips else -1 for clip in old_plan.clips] + [-1])
     for machine in new_plan.machines:
@@ -201,7 +205,7 @@ def _clips(old_plan: ir.SpeciesPlan, new_plan: ir.SpeciesPlan, values: dict[str,
                 values[register] = number[values[register]].astype(values[register].dtype)
 
 
-def _pairs(
+def _migrate_pairs(
     old_population: Population, world: World, new_plan: ir.SpeciesPlan, rows: Rows, values: dict[str, NDArray[Any]]
 ) -> None:
     """Reduce values per pair if fewer are stored now: of each agent the strongest remain. Those are farthest from the value that
@@ -219,12 +223,12 @@ def _pairs(
                 values[register] = np.take_along_axis(array, order, axis=1)[:, k].copy()
 
 
-def _renumbered(old_machine: ir.MachinePlan, new_machine: ir.MachinePlan) -> NDArray[np.int64]:
+def _state_numbers(old_machine: ir.MachinePlan, new_machine: ir.MachinePlan) -> NDArray[np.int64]:
     numbers = {state: k for k, state in enumerate(new_machine.states)}
     return np.array([numbers.get(state, -1) for state in old_machine.states], np.int64)
 
 
-def _items(old: World, world: World, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
+def _migrate_items(old: World, world: World, new_plan: ir.SpeciesPlan, values: dict[str, NDArray[Any]]) -> None:
     """Renumber items in registers by the items' names; removed items become none."""
     for name, register in new_plan.registers.items():
         if name in values and register.holds and register.holds[0] == "item":
@@ -262,7 +266,7 @@ def _block(block: ir.Block, where: tuple[int, ...], hashes: dict[str, int], para
 
 def _value(node: ir.Node, hashes: Mapping[str, int], params: Mapping[str, float]) -> int:
     node_hashes: dict[ir.Node, int] = {}
-    for each in needed([node]):
+    for each in required_nodes([node]):
         attrs: tuple[object, ...] = each.attrs
         if each.op in _PLACE:
             attrs = (each.attrs[0], hashes.get(each.attrs[0], 0))

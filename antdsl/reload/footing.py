@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.plane import Plane
 from antdsl.ground.protocol import Footing
-from antdsl.numerics.vector_rows import length, level
+from antdsl.numerics.vector_rows import length, unit_tangent
 from antdsl.runtime.binding.reuse import digest
 from antdsl.runtime.world import AXES, Population, World
 
@@ -15,45 +15,45 @@ _HAIR = 1e-6  # mm: who is put so near to where it was stays there to the last b
 MIN_DISTANCE = 0.05  # mm: less is the rounding of the nearest place, and not worth a word
 
 
-def same_solid(old: World, world: World, name: str) -> bool:
+def is_same_solid(old: World, world: World, name: str) -> bool:
     """Return whether a solid has the same mesh and voxels in both worlds, so that its digging can be transferred."""
     one, other = old.setting.solids.get(name), world.setting.solids.get(name)
     return one is not None and other is not None and digest(one) == digest(other)
 
 
-def stand(old: World, world: World, old_population: Population) -> tuple[Footing, NDArray[np.float64], NDArray[np.bool_]]:
+def find_footings(old: World, world: World, old_population: Population) -> tuple[Footing, NDArray[np.float64], NDArray[np.bool_]]:
     """Return footings in `world` for all agents of a population of `old`, their positions (n, 3), and which agents moved.
 
     A mesh of which only the vertices moved carries agents along. Agents on other faces, or on a solid that is another now, move
     to the nearest position of all ground."""
-    footing = _footing(old, world, old_population)
+    footing = _migrate_footing(old, world, old_population)
     place = world.ground.position(footing)
     moved = length(place - old_population.position) > _HAIR
     return footing, np.where(moved[:, None], place, old_population.position), moved
 
 
-def turn(world: World, population: Population, moved: NDArray[np.bool_]) -> None:
+def align_with_ground(world: World, population: Population, moved: NDArray[np.bool_]) -> None:
     """Turn up, heading and velocity of moved agents along their new ground."""
     rows = np.flatnonzero(moved)
     if not len(rows):
         return
-    up = world.ground.upright(population.footing, population.normal.astype(np.float64))
+    up = world.ground.upright_normals(population.footing, population.normal.astype(np.float64))
     population.normal[rows] = up[rows]
     heading, velocity = population.vector("heading"), population.vector("velocity")
-    heading[rows] = level(heading[rows], up[rows])
+    heading[rows] = unit_tangent(heading[rows], up[rows])
     velocity[rows] -= (velocity[rows] * up[rows]).sum(axis=1)[:, None] * up[rows]
     for name, value in (("up", up), ("heading", heading), ("velocity", velocity), ("position", population.position)):
         for k, axis in enumerate(AXES):
             population.now[f"{name}.{axis}"][rows] = value[rows, k]
 
 
-def _footing(old: World, world: World, old_population: Population) -> Footing:
+def _migrate_footing(old: World, world: World, old_population: Population) -> Footing:
     ground, place = world.ground, old_population.position
     if isinstance(ground, Plane):
         return old_population.footing if isinstance(old.ground, Plane) else ground.place(place, world.up)[0]
     if isinstance(old.ground, Plane):
         return ground.nearest(place)[0]
-    number = _numbers(old, world)
+    number = _ground_numbers(old, world)
     was = old_population.footing.mesh
     mesh = np.where(was >= 0, number.take(np.maximum(was, 0)), -1).astype(np.int32)
     footing = ground.nowhere(len(mesh))
@@ -65,16 +65,16 @@ def _footing(old: World, world: World, old_population: Population) -> Footing:
     return footing
 
 
-def _numbers(old: World, world: World) -> NDArray[np.int32]:
+def _ground_numbers(old: World, world: World) -> NDArray[np.int32]:
     """For the number of each surface and solid of the old ground the number it has now; -1 where it is not the same."""
     numbers = {name: k for k, name in enumerate(world.ground.names)}
     mapping = np.full(max(1, len(old.ground.names)), -1, np.int32)
     for k, name in enumerate(old.ground.names):
-        if name in numbers and (_same_faces(old, world, name) or same_solid(old, world, name)):
+        if name in numbers and (_is_same_mesh(old, world, name) or is_same_solid(old, world, name)):
             mapping[k] = numbers[name]
     return mapping
 
 
-def _same_faces(old: World, world: World, name: str) -> bool:
+def _is_same_mesh(old: World, world: World, name: str) -> bool:
     one, other = old.setting.surfaces.get(name), world.setting.surfaces.get(name)
     return one is not None and other is not None and (one is other or np.array_equal(one.faces, other.faces))

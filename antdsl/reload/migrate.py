@@ -10,18 +10,18 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.float_environment import standard
+from antdsl.numerics.float_environment import standard_floats
 from antdsl.plan import ir
-from antdsl.reload.agents import MigratedSpecies, complete, migrate_agents
-from antdsl.reload.footing import same_solid
-from antdsl.runtime.binding.bind_world import unpeopled
-from antdsl.runtime.binding.placing import arrive, begin
-from antdsl.runtime.binding.reuse import Built, digest
+from antdsl.reload.agents import MigratedSpecies, fill_registers, migrate_agents
+from antdsl.reload.footing import is_same_solid
+from antdsl.runtime.binding.bind_world import bind_empty
+from antdsl.runtime.binding.placing import begin_agents, place_joining
+from antdsl.runtime.binding.reuse import BindingCache, digest
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.feet import walking
 from antdsl.runtime.lifecycle import forget_the_dead
 from antdsl.runtime.motion_measures import Motion
-from antdsl.runtime.moving.moving_geometry import pose
+from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.runtime.world import World
 from antdsl.scene.setting import CrowdData, Setting
 
@@ -43,50 +43,50 @@ class Migration:
         return sum(migrated.agents for migrated in self.species)
 
 
-@standard()
-def take_over(old: World, plan: ir.Plan, setting: Setting, built: Built | None = None) -> tuple[World, Migration]:
+@standard_floats()
+def take_over(old: World, plan: ir.Plan, setting: Setting, built: BindingCache | None = None) -> tuple[World, Migration]:
     """Return the world of an edited plan and setting at the frame of a running one, and the migration. Raises BindError as in
     `bind`.
 
     `built` persists from one call to the next: equal meshes are not computed again."""
-    world = unpeopled(plan, setting, old.options, built=built, origin=old.origin)
+    world = bind_empty(plan, setting, old.options, built=built, origin=old.origin)
     world.frame = old.frame
     migration = Migration()
     with np.errstate(all="ignore"):
-        _items(old, world, migration)
-        _solids(old, world, migration)
-        _fields(old, world, migration)
-        pose(world, world.frame)
-        _flows(old, world)
-        begin(world, arrive(world, _agents(old, world, migration)))
+        _migrate_items(old, world, migration)
+        _migrate_solids(old, world, migration)
+        _migrate_fields(old, world, migration)
+        pose_world(world, world.frame)
+        _migrate_flows(old, world)
+        begin_agents(world, place_joining(world, _migrate_agents(old, world, migration)))
         for population in world.populations.values():
             forget_the_dead(world, population, between_steps=True)
-    walking.begin(world)
-    _feet(old, world)
-    _counts(old, world)
+    walking.begin_feet(world)
+    _migrate_feet(old, world)
+    _migrate_counts(old, world)
     return world, migration
 
 
 # --- agents ------------------------------------------------------------------------------------------------------------
 
 
-def _agents(old: World, world: World, migration: Migration) -> list[tuple[CrowdData, NDArray[np.int64]]]:
+def _migrate_agents(old: World, world: World, migration: Migration) -> list[tuple[CrowdData, NDArray[np.int64]]]:
     """Move all agents that stay; return the crowds to add, with their ids."""
     joining: list[tuple[CrowdData, NDArray[np.int64]]] = []
     values = {}
     for name in world.populations:
         if name in old.populations:
-            migrated, values[name] = migrate_agents(old, world, name, _staying(old, world.setting, name, migration))
+            migrated, values[name] = migrate_agents(old, world, name, _staying_rows(old, world.setting, name, migration))
             migration.species.append(migrated)
             _regroup(old.setting, world, name, values[name])
     for name, known in values.items():
-        complete(world, name, known)
+        fill_registers(world, name, known)
     for name in old.populations:
         if name not in world.populations and len(old.populations[name]):
             migration.removed[name] = len(old.populations[name])
     for name, population in world.populations.items():
-        old_lines = _lines(old.setting, name) if name in old.populations else []
-        for number, crowd in enumerate(_lines(world.setting, name)):
+        old_lines = _crowd_lines(old.setting, name) if name in old.populations else []
+        for number, crowd in enumerate(_crowd_lines(world.setting, name)):
             joining_count = crowd.count - (old_lines[number].count if number < len(old_lines) else 0)
             if joining_count > 0:
                 ids = np.arange(population.next_id, population.next_id + joining_count)
@@ -96,16 +96,16 @@ def _agents(old: World, world: World, migration: Migration) -> list[tuple[CrowdD
     return joining
 
 
-def _lines(setting: Setting, species: str) -> list[CrowdData]:
+def _crowd_lines(setting: Setting, species: str) -> list[CrowdData]:
     return [crowd for crowd in setting.crowds if crowd.species == species]
 
 
-def _staying(old: World, setting: Setting, name: str, migration: Migration) -> NDArray[np.intp]:
+def _staying_rows(old: World, setting: Setting, name: str, migration: Migration) -> NDArray[np.intp]:
     """Return the rows of a species that stay. Where a line of the scene has fewer agents now, the latest ones are removed."""
     population = old.populations[name]
     stays = np.ones(len(population), np.bool_)
-    new_lines = _lines(setting, name)
-    for number, crowd in enumerate(_lines(old.setting, name)):
+    new_lines = _crowd_lines(setting, name)
+    for number, crowd in enumerate(_crowd_lines(old.setting, name)):
         rows = np.flatnonzero(population.now["group"] == crowd.group)
         fewer = crowd.count - new_lines[number].count if number < len(new_lines) else len(rows)
         if fewer > 0:
@@ -120,7 +120,7 @@ def _regroup(old_setting: Setting, world: World, name: str, values: dict[str, ND
     """Update the number of each agent's line in the scene, which may have changed."""
     population = world.populations[name]
     group = population.now["group"].copy()
-    for was, is_now in zip(_lines(old_setting, name), _lines(world.setting, name), strict=False):
+    for was, is_now in zip(_crowd_lines(old_setting, name), _crowd_lines(world.setting, name), strict=False):
         population.now["group"][group == was.group] = is_now.group
     if population.start["group"] is not population.now["group"]:
         population.start["group"][:] = population.now["group"]
@@ -130,7 +130,7 @@ def _regroup(old_setting: Setting, world: World, name: str, values: dict[str, ND
 # --- everything else ---------------------------------------------------------------------------------------------------
 
 
-def _items(old: World, world: World, migration: Migration) -> None:
+def _migrate_items(old: World, world: World, migration: Migration) -> None:
     """Transfer amounts by the items' names. Amounts that the scene changed start with the new value."""
     for name, items in world.items.items():
         known = old.items.get(name)
@@ -152,20 +152,20 @@ def _items(old: World, world: World, migration: Migration) -> None:
         items.show()
 
 
-def _solids(old: World, world: World, migration: Migration) -> None:
+def _migrate_solids(old: World, world: World, migration: Migration) -> None:
     for name, volume in world.solids.items():
-        if name in old.solids and same_solid(old, world, name):
+        if name in old.solids and is_same_solid(old, world, name):
             volume.restore({key: array.copy() for key, array in old.solids[name].state().items()})
         else:
             migration.solids.append(name)
 
 
-def _fields(old: World, world: World, migration: Migration) -> None:
+def _migrate_fields(old: World, world: World, migration: Migration) -> None:
     """Continue scents with equal cells that do not start with something else now."""
     for name, now in world.fields.items():
         old_field = old.fields.get(name)
         starts = [setting.field_start.get(name) for setting in (old.setting, world.setting)]
-        if old_field is None or not _same_cells(old, world, name) or digest(starts[0]) != digest(starts[1]):
+        if old_field is None or not _is_same_grid(old, world, name) or digest(starts[0]) != digest(starts[1]):
             migration.fields.append(name)
             continue
         if now.added:
@@ -173,7 +173,7 @@ def _fields(old: World, world: World, migration: Migration) -> None:
         now.values[:] = np.minimum(old_field.values, now.limit)
 
 
-def _same_cells(old: World, world: World, name: str) -> bool:
+def _is_same_grid(old: World, world: World, name: str) -> bool:
     one, other = old.plan.fields[name], world.plan.fields[name]
     if one.surfaces != other.surfaces or old.fields[name].cells.cell != world.fields[name].cells.cell:
         return False
@@ -183,7 +183,7 @@ def _same_cells(old: World, world: World, name: str) -> bool:
     return old.fields[name].cells is world.fields[name].cells or digest(old_surfaces) == digest(new_surfaces)
 
 
-def _flows(old: World, world: World) -> None:
+def _migrate_flows(old: World, world: World) -> None:
     """Continue flows that are computed over time with their state, where they are equal."""
     for name, flow in world.flows.items():
         state = flow.state()
@@ -193,7 +193,7 @@ def _flows(old: World, world: World) -> None:
             flow.restore({key: array.copy() for key, array in old_state.items()})
 
 
-def _feet(old: World, world: World) -> None:
+def _migrate_feet(old: World, world: World) -> None:
     """Transfer footholds and swings, if bodies have the same legs and the ground is the same."""
     if old.floor is None or world.floor is None or old.floor.names != world.floor.names:
         return
@@ -202,10 +202,10 @@ def _feet(old: World, world: World) -> None:
     for name, feet in world.feet.items():
         old_feet = old.feet.get(name)
         if old_feet is not None and digest(old.setting.legs[name]) == digest(world.setting.legs[name]):
-            feet.take(old_feet)
+            feet.copy_common(old_feet)
 
 
-def _counts(old: World, world: World) -> None:
+def _migrate_counts(old: World, world: World) -> None:
     """Transfer counts, measurements and watchers."""
     world.transitions = dict(old.transitions)
     world.motion = Motion.of(old.motion.arrays())
@@ -225,43 +225,43 @@ def migration_line(migration: Migration) -> str:
         parts += _species(migrated, f"{migrated.species}." if several else "")
     parts += [f"{count:,} more of `{name}`" for name, count in migration.joined.items()]
     parts += [f"{count:,} of `{name}` gone" for name, count in migration.removed.items()]
-    parts += _listed(migration.items, "has its amount from the scene", "have their amounts from the scene")
-    parts += _listed([f"field {name}" for name in migration.fields], "starts again", "start again")
-    parts += _listed([f"solid {name}" for name in migration.solids], "is whole", "are whole")
+    parts += _names_phrase(migration.items, "has its amount from the scene", "have their amounts from the scene")
+    parts += _names_phrase([f"field {name}" for name in migration.fields], "starts again", "start again")
+    parts += _names_phrase([f"solid {name}" for name in migration.solids], "is whole", "are whole")
     return " · ".join(parts)
 
 
 def _species(migrated: MigratedSpecies, of: str) -> list[str]:
     parts = [
-        f"{count:,} of removed state `{of}{_plain(removed_state)}` "
-        f"{'starts' if count == 1 else 'start'} again in `{of}{_plain(start)}`"
+        f"{count:,} of removed state `{of}{_state_text(removed_state)}` "
+        f"{'starts' if count == 1 else 'start'} again in `{of}{_state_text(start)}`"
         for (removed_state, start), count in sorted(migrated.restarts.items())
     ]
-    parts += _listed([of + _plain(name) for name in migrated.states], "is a new state", "are new states")
-    parts += _listed([of + _plain(name) for name in migrated.lost], "is a state no more", "are states no more")
+    parts += _names_phrase([of + _state_text(name) for name in migrated.states], "is a new state", "are new states")
+    parts += _names_phrase([of + _state_text(name) for name in migrated.lost], "is a state no more", "are states no more")
     if migrated.moved:
         parts.append(
             f"{migrated.moved:,} {_agent_word(migrated.moved)} moved with the ground"
             + (f" of `{migrated.species}`" if of else "")
         )
-    parts += _listed([of + name for name in migrated.new], "is new", "are new")
-    parts += _listed(
+    parts += _names_phrase([of + name for name in migrated.new], "is new", "are new")
+    parts += _names_phrase(
         [of + name for name in migrated.other], "has another type and starts again", "have other types and start again"
     )
-    parts += _listed([of + name for name in _written(migrated.rewritten)], "is as written now", "are as written now")
-    parts += _listed([of + name for name in migrated.removed_attributes], "is gone", "are gone")
+    parts += _names_phrase([of + name for name in _primary_names(migrated.rewritten)], "is as written now", "are as written now")
+    parts += _names_phrase([of + name for name in migrated.removed_attributes], "is gone", "are gone")
     if migrated.forgotten:
         parts.append(f"{migrated.forgotten} {'memory' if migrated.forgotten == 1 else 'memories'} forgotten")
     return parts
 
 
-def _written(names: list[str]) -> list[str]:
+def _primary_names(names: list[str]) -> list[str]:
     """Less those that follow from others, and are seldom written: strength from speed, radius from size."""
     follow = {"max_force": {"mass", "max_speed", "response"}, "radius": {"size"}}
     return [name for name in names if not follow.get(name, set()) & set(names)]
 
 
-def _plain(state: str) -> str:
+def _state_text(state: str) -> str:
     """Return a state's name without the default machine: most species have one machine without a name."""
     return state.removeprefix("main.")
 
@@ -270,7 +270,7 @@ def _agent_word(count: int) -> str:
     return "agent" if count == 1 else "agents"
 
 
-def _listed(names: list[str], one: str, several: str) -> list[str]:
+def _names_phrase(names: list[str], one: str, several: str) -> list[str]:
     if not names:
         return []
     name_list = ", ".join(f"`{name}`" for name in names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")

@@ -7,19 +7,19 @@ everybody from steering forces to places. `world` is all that changes. `checkpoi
 and one number for it."""
 
 from antdsl.runtime.binding.bind_world import BindError, bind, set_flow, set_param
-from antdsl.runtime.binding.reuse import Built
+from antdsl.runtime.binding.reuse import BindingCache
 from antdsl.runtime.checkpoints import CheckpointError, checkpoint, restore, state_hash
-from antdsl.runtime.digging import dug_since
+from antdsl.runtime.digging import take_dug_balls
 from antdsl.runtime.faults import Fault, FaultStop, LimitStop
 from antdsl.runtime.feet.state import feet_hash
-from antdsl.runtime.lifecycle import emitted_since, event_names
+from antdsl.runtime.lifecycle import event_names, take_emissions
 from antdsl.runtime.phases import step
 from antdsl.runtime.world import Items, Options, Population, World
 from antdsl.scene.setting import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting
 
 __all__ = [
     "BindError",
-    "Built",
+    "BindingCache",
     "CheckpointError",
     "CrowdData",
     "Fault",
@@ -36,8 +36,6 @@ __all__ = [
     "World",
     "bind",
     "checkpoint",
-    "dug_since",
-    "emitted_since",
     "event_names",
     "feet_hash",
     "restore",
@@ -45,4 +43,6 @@ __all__ = [
     "set_param",
     "state_hash",
     "step",
+    "take_dug_balls",
+    "take_emissions",
 ]

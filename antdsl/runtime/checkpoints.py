@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing
-from antdsl.numerics.row_hash import named
+from antdsl.numerics.row_hash import describe_columns
 from antdsl.runtime.feet import walking
-from antdsl.runtime.feet.state import from_arrays
+from antdsl.runtime.feet.state import feet_from_arrays
 from antdsl.runtime.motion_measures import Motion
-from antdsl.runtime.moving.moving_geometry import pose
+from antdsl.runtime.moving.moving_geometry import pose_world
 from antdsl.runtime.world import Population, World
 
 STATE_HASH = 2  # which way states are hashed; numbers of another way say nothing about a state
@@ -106,7 +106,7 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     world.trees.clear()
     world.clearances.clear()
     world.touching = None
-    pose(world, world.frame)
+    pose_world(world, world.frame)
     _restore_feet(world, arrays)
 
 
@@ -117,10 +117,10 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
         prefix = f"feet.{name}."
         foot_arrays = {key.removeprefix(prefix): array for key, array in arrays.items() if key.startswith(prefix)}
         if not foot_arrays:
-            walking.begin(world)
+            walking.begin_feet(world)
             return
         try:
-            restored_feet[name] = from_arrays(foot_arrays, feet.legs, world.populations[name].sorted_ids()[0])
+            restored_feet[name] = feet_from_arrays(foot_arrays, feet.legs, world.populations[name].sorted_ids()[0])
         except ValueError as why:
             raise CheckpointError(f"`feet.{name}`: {why}") from None
     world.feet = restored_feet
@@ -181,7 +181,7 @@ def state_hash(world: World) -> str:
     for name in sorted(world.populations):
         population = world.populations[name]
         digest.update(f"\0{name}\0{len(population)}".encode())
-        digest.update(_rows(population, threads))
+        digest.update(_hash_rows(population, threads))
         digest.update(np.int64(population.next_id).tobytes())
     for name in sorted(world.items):
         for attribute, amounts in sorted(world.items[name].amounts.items()):
@@ -197,7 +197,7 @@ def state_hash(world: World) -> str:
     return digest.hexdigest()[:32]
 
 
-def _rows(population: Population, threads: int) -> bytes:
+def _hash_rows(population: Population, threads: int) -> bytes:
     """The hash of all that belongs to the state of agents."""
     names, footing, now = population.state_registers(), population.footing.columns, population.now
     events = sorted(population.events)
@@ -205,4 +205,4 @@ def _rows(population: Population, threads: int) -> bytes:
     columns = [population.born, population.quarantined, population.position, population.normal, *footing.values()]
     columns += [now[name] for name in names]
     columns += [population.events[name] for name in events]
-    return named(column_names, columns) + population.hashed.of(population.ids, columns, threads)
+    return describe_columns(column_names, columns) + population.hashed.of(population.ids, columns, threads)

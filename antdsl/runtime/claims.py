@@ -36,23 +36,23 @@ def settle(world: World) -> None:
                 item_claims.setdefault((entry.statement.of, entry.statement.attribute), []).append((population, entry))
         population.effects.claims = []
     for (items, attribute), entries in sorted(item_claims.items(), key=lambda pair: pair[0]):
-        entries = _by_statement(entries)
-        item, amount = _joined([e.item for _, e in entries]), _joined([e.amount for _, e in entries])
-        _settle_one(world, world.items[items].amounts[attribute], item, amount, 0.0, entries)
+        entries = _merge_by_statement(entries)
+        item, amount = _join_arrays([e.item for _, e in entries]), _join_arrays([e.amount for _, e in entries])
+        _settle_amount(world, world.items[items].amounts[attribute], item, amount, 0.0, entries)
     for name, entries in sorted(of_fields.items()):
-        entries = _by_statement(entries)
+        entries = _merge_by_statement(entries)
         field = world.fields[name]
-        cells, which = np.unique(_joined([e.item for _, e in entries]), return_inverse=True)
+        cells, which = np.unique(_join_arrays([e.item for _, e in entries]), return_inverse=True)
         somewhere = int(np.searchsorted(cells, 0))
         cells = cells[somewhere:]
         rest = field.values[cells]
-        amount = _joined([e.amount for _, e in entries]).astype(np.float64)
+        amount = _join_arrays([e.amount for _, e in entries]).astype(np.float64)
         amount = np.where(np.isinf(amount), amount, np.rint(amount / UNIT) * UNIT).astype(np.float32)
-        _settle_one(world, rest, which - somewhere, amount, UNIT, entries)
-        field.leave(cells, rest)
+        _settle_amount(world, rest, which - somewhere, amount, UNIT, entries)
+        field.set_remaining(cells, rest)
 
 
-def _by_statement(entries: Entries) -> Entries:
+def _merge_by_statement(entries: Entries) -> Entries:
     """Merge the claims of each statement into one entry, however they were chunked."""
     if len(entries) == 1:
         return entries
@@ -61,26 +61,26 @@ def _by_statement(entries: Entries) -> Entries:
         groups.setdefault((population.name, entry.order), []).append((population, entry))
     merged_entries: Entries = []
     for (_, order), group in groups.items():
-        rows, item, amount = (_joined([getattr(e, name) for _, e in group]) for name in ("rows", "item", "amount"))
+        rows, item, amount = (_join_arrays([getattr(e, name) for _, e in group]) for name in ("rows", "item", "amount"))
         population, first = group[0]
         merged_entries.append((population, ClaimEntry(first.statement, order, rows, item, amount)))
     return merged_entries
 
 
-def _joined(arrays: list[NDArray[Any]]) -> NDArray[Any]:
+def _join_arrays(arrays: list[NDArray[Any]]) -> NDArray[Any]:
     """One array after the other."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 
-def _settle_one(
+def _settle_amount(
     world: World, rest: NDArray[np.float64], item: NDArray[np.integer], amount: NDArray[np.float32], unit: float, entries: Entries
 ) -> None:
     """Settle the claims of `entries`: `amount` (inf: all) from the places `item` of `rest` (-1: none). Claims for all get whole
     units."""
-    draw = _joined([_draws(world, p, e) for p, e in entries])
-    ids = _joined([p.ids[e.rows] for p, e in entries])
-    row = _joined([e.rows for _, e in entries])
-    if len(entries) == 1 and _settled(rest, (ids, draw, item), row, amount, *entries[0]):
+    draw = _join_arrays([_draws(world, p, e) for p, e in entries])
+    ids = _join_arrays([p.ids[e.rows] for p, e in entries])
+    row = _join_arrays([e.rows for _, e in entries])
+    if len(entries) == 1 and _settle_by_kernel(rest, (ids, draw, item), row, amount, *entries[0]):
         return
     valid = (item >= 0) & (item < len(rest)) & (amount >= 0)
     if len(entries) == 1:
@@ -91,13 +91,13 @@ def _settle_one(
         np.repeat(numbers, [len(e.rows) for _, e in entries])
         for numbers in ([names.index(p.name) for p, _ in entries], [e.order for _, e in entries], np.arange(len(entries)))
     )
-    turn = _turn(species, ids, place)
+    turn = _claim_turns(species, ids, place)
     for number in range(int(turn.max()) + 1):  # who asks twice in one step has changed its own register in between
         now = np.flatnonzero(valid & (turn == number))
         _serve(rest, now, (place, species, ids, draw, item), row, amount, unit, entries, source)
 
 
-def _settled(
+def _settle_by_kernel(
     rest: NDArray[np.float64],
     keys: tuple[NDArray[Any], ...],
     row: NDArray[np.intp],
@@ -132,20 +132,20 @@ def _serve(
     is the entry of each claim (None: there is only one)."""
     now = now[np.lexsort([key[now] for key in keys])]
     item, row, amount = keys[-1][now], row[now], amount[now]
-    asks = _Asks(np.empty(len(now)), np.isinf(amount), np.zeros(len(now), np.float32), np.zeros(len(now), np.bool_), unit)
+    asks = _ServedClaims(np.empty(len(now)), np.isinf(amount), np.zeros(len(now), np.float32), np.zeros(len(now), np.bool_), unit)
     every = np.arange(len(now))
     owners = [every] if source is None else [np.flatnonzero(source[now] == k) for k in range(len(entries))]
     for (population, entry), mine in zip(entries, owners, strict=True):
         asks.fill(population, entry, mine, row[mine], amount[mine])
-    got = _served(rest, item, asks)
+    got = _served_amounts(rest, item, asks)
     for (population, entry), mine in zip(entries, owners, strict=True):
         mine = mine[got[mine] >= 0]
         population.now[entry.statement.won][row[mine]] = True
         if entry.statement.own is not None:
-            _receive(population, entry, row[mine], amount[mine], got[mine])
+            _add_winnings(population, entry, row[mine], amount[mine], got[mine])
 
 
-def _receive(
+def _add_winnings(
     population: Population, entry: ClaimEntry, rows: NDArray[np.intp], amount: NDArray[np.float32], got: NDArray[np.float64]
 ) -> None:
     """Add the amounts won to the agents' own registers; `got` is the exact amount that each adds."""
@@ -159,7 +159,7 @@ def _receive(
     taken[rows] = got
 
 
-class _Asks:
+class _ServedClaims:
     """Claims in the order in which they are served. `change` (float64) is the exact amount that winning would add to the agents'
     own registers, or the amount if there is no register. `everything` marks claims for all. `had` is the current value, if a
     register holds it."""
@@ -186,7 +186,7 @@ class _Asks:
             self.change[at] = (had + amount).astype(np.float64) - had.astype(np.float64)
         self.had[at], self.kept[at] = had, True
 
-    def all_of(self, at: NDArray[np.intp], left: NDArray[np.float64]) -> NDArray[np.float64]:
+    def all_amounts(self, at: NDArray[np.intp], left: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return what claims for all get of the amount `left`: whole units, and no more than their register can represent."""
         had = self.had[at].astype(np.float64)
         with np.errstate(all="ignore"):
@@ -202,7 +202,7 @@ def _draws(world: World, population: Population, entry: ClaimEntry) -> NDArray[n
     return randomness.word(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
 
 
-def _turn(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
+def _claim_turns(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.int64]) -> NDArray[np.int64]:
     """Number of each claim among those of the same agent, in text order."""
     order = np.lexsort((place, ids, species))
     fresh = np.ones(len(order), np.bool_)
@@ -213,7 +213,7 @@ def _turn(species: NDArray[np.int64], ids: NDArray[np.int64], place: NDArray[np.
     return turn
 
 
-def _served(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], asks: _Asks) -> NDArray[np.float64]:
+def _served_amounts(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], asks: _ServedClaims) -> NDArray[np.float64]:
     """Return the amount that each claim gets, -1 if it is not served; `item_numbers` are sorted. Subtracts the amounts from
     `rest`."""
     item: NDArray[np.int64] = item_numbers.astype(np.int64, copy=False)
@@ -229,17 +229,19 @@ def _served(rest: NDArray[np.float64], item_numbers: NDArray[np.integer], asks: 
     _serve_in_turn(rest, item[simple_rows], asks.change[simple_rows], part)
     got[simple_rows] = part
     alone = starts[every & (ends - starts == 1)]
-    part = asks.all_of(alone, rest[item[alone]])
+    part = asks.all_amounts(alone, rest[item[alone]])
     winners, part = alone[part > 0], part[part > 0]
     got[winners] = part
     rest[item[winners]] -= part
     several = every & (ends - starts > 1)
     for begin, end in zip(starts[several].tolist(), ends[several].tolist(), strict=True):
-        _among(rest, item[begin:end], begin, asks, got[begin:end])
+        _serve_mixed(rest, item[begin:end], begin, asks, got[begin:end])
     return got
 
 
-def _among(rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, asks: _Asks, got: NDArray[np.float64]) -> None:
+def _serve_mixed(
+    rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, asks: _ServedClaims, got: NDArray[np.float64]
+) -> None:
     """Serve the claims from `begin` on, for one item, some of them for all of it, in order until the remainder does not
     suffice."""
     first, change = 0, asks.change[begin : begin + len(item)]
@@ -247,7 +249,7 @@ def _among(rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, asks:
         _serve_in_turn(rest, item[first:stop], change[first:stop], got[first:stop])
         if stop == len(item) or (got[first:stop] < 0).any():
             return
-        part = float(asks.all_of(np.array([begin + stop]), rest[item[:1]])[0])
+        part = float(asks.all_amounts(np.array([begin + stop]), rest[item[:1]])[0])
         if not part > 0:
             return
         got[stop] = part
@@ -255,7 +257,7 @@ def _among(rest: NDArray[np.float64], item: NDArray[np.int64], begin: int, asks:
         first = stop + 1
 
 
-def give(world: World) -> None:
+def settle_gifts(world: World) -> None:
     """Add the agents' gifts to the items, the smallest first, so that rounding of the sum does not depend on the agents'
     order."""
     gifts: dict[tuple[str, str], list[GiveEntry]] = {}

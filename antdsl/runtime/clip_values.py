@@ -17,7 +17,7 @@ def clip_table(world: World, population: Population, what: str) -> NDArray[np.fl
     """`seconds`, `stride`, `loop` or `mark NAME` of each clip of the species' plan, and at the end of an unknown one."""
     known = world.setting.clips.get(population.name, {})
     every = [known.get(each.name, _UNKNOWN) for each in population.plan.clips]
-    return np.array([_of(each, what) for each in (*every, _UNKNOWN)], np.float32)
+    return np.array([_clip_number(each, what) for each in (*every, _UNKNOWN)], np.float32)
 
 
 def clip_value(world: World, population: Population, what: str, clip: Any) -> NDArray[np.float32]:
@@ -28,7 +28,7 @@ def clip_value(world: World, population: Population, what: str, clip: Any) -> ND
     return chosen_values
 
 
-def _of(clip: ClipData, what: str) -> float:
+def _clip_number(clip: ClipData, what: str) -> float:
     if what.startswith("mark "):
         return clip.marks.get(what.removeprefix("mark "), -1.0)
     return float(getattr(clip, what))

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.runtime.moving.capsules import Crowd, find
+from antdsl.runtime.moving.capsules import Crowd, find_near_pairs
 from antdsl.runtime.world import Population, World
 from antdsl.senses.touching import Touching
 
@@ -22,7 +22,7 @@ _BEGINS = 0.02  # of the sum of two radii: a gap below which a contact begins
 _ENDS = 0.25  # of the same: a gap above which it is over
 
 
-def contact(world: World, population: Population, of: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
+def new_contacts(world: World, population: Population, of: str, rows: Rows, touched: Ids) -> tuple[Ids, Ids]:
     """Return the id of the deepest agent of a species that each given agent has begun to touch, -1 for none. Also return the ids
     of all agents that it touches from now on. `touched` (n, k): the previous ones, -1 for none; if all k are in use, no new
     contact is noticed."""
@@ -58,7 +58,7 @@ def _find_touching(crowd: Crowd) -> dict[tuple[str, str], Touching]:
     contacts: dict[tuple[str, str], Touching] = {}
     if len(crowd) < 2:
         return contacts
-    pairs = find(crowd)
+    pairs = find_near_pairs(crowd)
     gap = pairs.gap
     radius_sum = pairs.radius.take(pairs.i) + pairs.radius.take(pairs.j)
     close_rows = np.flatnonzero(gap < _ENDS * radius_sum)

@@ -25,7 +25,7 @@ def dig(world: World) -> None:
     """Carve the requested balls, and give each agent what it dug out. Agents that lose their ground come down as they move."""
     requests: dict[str, list[tuple[Population, RequestEntry]]] = {}
     for population in world.populations.values():
-        for entry in population.effects.drained("carve"):
+        for entry in population.effects.drain("carve"):
             if len(entry.rows):
                 requests.setdefault(entry.request.of, []).append((population, entry))
     for name, entries in sorted(requests.items()):
@@ -47,29 +47,29 @@ def _carve(world: World, solid: str, entries: list[tuple[Population, RequestEntr
     dug = order[removed[order] > 0]
     fields = [field for name, field in world.fields.items() if solid in world.plan.fields[name].surfaces]
     if fields:
-        grow(fields, world.solids[solid], middle[dug], radius[dug])
+        grow_wall_cells(fields, world.solids[solid], middle[dug], radius[dug])
     if world.carved is not None:
         world.carved.setdefault(solid, []).append(np.column_stack([middle, radius]))
     first = 0
     for population, entry in entries:
-        _give(population, entry, removed[first : first + len(entry.rows)])
+        _add_dug_amount(population, entry, removed[first : first + len(entry.rows)])
         first += len(entry.rows)
 
 
-def _give(population: Population, entry: RequestEntry, removed: NDArray[np.float64]) -> None:
+def _add_dug_amount(population: Population, entry: RequestEntry, removed: NDArray[np.float64]) -> None:
     """Add the dug volume to the agents' own register."""
     if entry.request.own is not None:
         register = population.now[entry.request.own]
         register[entry.rows] = (register[entry.rows].astype(np.float64) + removed).astype(np.float32)
 
 
-def dug_since(world: World) -> dict[str, NDArray[np.float64]]:
+def take_dug_balls(world: World) -> dict[str, NDArray[np.float64]]:
     """Return the balls float64[k, 4] (centre and radius) dug since the last call, by solid. A solid without any has no entry."""
     balls_by_solid, world.carved = world.carved or {}, None if world.carved is None else {}
     return {name: np.concatenate(balls) for name, balls in balls_by_solid.items() if sum(map(len, balls))}
 
 
-def grow(fields: Iterable[PheromoneField], volume: Volume, middle: Floats, radius: Floats) -> None:
+def grow_wall_cells(fields: Iterable[PheromoneField], volume: Volume, middle: Floats, radius: Floats) -> None:
     """Add cells to fields on a solid where balls, centres [k,3] and radii [k] in mm, left walls. The order of the balls
     matters."""
     by_cells: dict[int, list[PheromoneField]] = {}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from antdsl.runtime.backends.reference import operands_of
+from antdsl.runtime.backends.reference import fault_operands
 from antdsl.runtime.requests import FaultEntry
 from antdsl.source import Span
 
@@ -81,7 +81,7 @@ def gather(world: World) -> None:
         groups: dict[tuple[int, str, str], list[FaultEntry]] = {}
         for entry in population.effects.faults:
             place = -1 if entry.span is None else entry.span.start
-            groups.setdefault((place, entry.block, _word(entry.register)), []).append(entry)
+            groups.setdefault((place, entry.block, _register_word(entry.register)), []).append(entry)
         population.effects.faults = []
         for (_, _, word), entries in sorted(groups.items(), key=lambda pair: pair[0]):
             rows = np.unique(np.concatenate([entry.rows for entry in entries]))  # a vector has three parts and one fault
@@ -89,7 +89,7 @@ def gather(world: World) -> None:
             log.count += len(rows)
             for row in rows[: max(_REPORTED - len(log.reported), 0 if log.latest else 1)]:
                 entry = min((e for e in entries if row in e.rows), key=lambda e: e.register)
-                fault = _tell(world, population, int(row), entry, word)
+                fault = _make_fault(world, population, int(row), entry, word)
                 log.latest = log.latest or fault
                 if len(log.reported) < _REPORTED:
                     log.reported.append(fault)
@@ -97,12 +97,12 @@ def gather(world: World) -> None:
                 population.quarantined[rows] = True
 
 
-def _word(register: str) -> str:
+def _register_word(register: str) -> str:
     """Return the author's name for a register: a vector without its axis, a temp of the plan by its purpose."""
     name = register.removesuffix(".x").removesuffix(".y").removesuffix(".z")
     return {"~steer": "steer", "~gaze": "face", "~face": "face", "~left": "push", "~held": "the vector"}.get(name, name)
 
 
-def _tell(world: World, population: Population, row: int, entry: FaultEntry, word: str) -> Fault:
-    operands = operands_of(world, population, row, entry.block, entry.register, entry.span)
+def _make_fault(world: World, population: Population, row: int, entry: FaultEntry, word: str) -> Fault:
+    operands = fault_operands(world, population, row, entry.block, entry.register, entry.span)
     return Fault(world.display_frame, population.name, int(population.ids[row]), word, entry.span, operands)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, I64, Array1, kernel
 from antdsl.numerics.kernel_vectors import VectorColumns
-from antdsl.numerics.parallel import plain
+from antdsl.numerics.parallel import contiguous
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.world import AXES, Items
 
@@ -29,29 +29,29 @@ def items_within(items: Items, own: tuple[Floats, ...], radius: Any) -> Columns:
     """Return the items within a radius (mm, one or float[n]) of positions (three float32[n])."""
     reach = np.full(len(own[0]), radius, np.float32) if np.ndim(radius) == 0 else np.asarray(radius, np.float32)
     if len(items) > _MANY_ITEMS:
-        return along(items, own, reach)
+        return measure_near(items, own, reach)
     return each(items, own, reach)
 
 
-def _seen_at(items: Items) -> Vector:
+def _visible_positions(items: Items) -> Vector:
     x, y, z = (np.asarray(items.visible_values[axis], np.float32) for axis in AXES)
     return x, y, z
 
 
 def each(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
     """All items measured from all rows."""
-    item_points, agent_points, (reach,) = plain(*_seen_at(items)), plain(*own), plain(reach)
+    item_points, agent_points, (reach,) = contiguous(*_visible_positions(items)), contiguous(*own), contiguous(reach)
     pairs = tuple(np.empty(max(2 * reach.size, 64), kind) for kind in (np.int64, np.int64, *(np.float32,) * 4))
-    row, used = _fill(item_points, agent_points, reach, pairs, 0, 0)
+    row, used = _fill_pairs(item_points, agent_points, reach, pairs, 0, 0)
     while row < reach.size:
         pairs = tuple(np.concatenate([a, np.empty(a.size + len(items), a.dtype)]) for a in pairs)
-        row, used = _fill(item_points, agent_points, reach, pairs, row, used)
+        row, used = _fill_pairs(item_points, agent_points, reach, pairs, row, used)
     return tuple(a[:used] for a in pairs)
 
 
-def along(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
+def measure_near(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
     """Return the pairs of rows and items that are in reach along the two axes with the widest spread of items."""
-    n, item_points = len(own[0]), _seen_at(items)
+    n, item_points = len(own[0]), _visible_positions(items)
     with np.errstate(invalid="ignore"):
         one, two = sorted(range(3), key=lambda k: -float(np.nan_to_num(np.ptp(item_points[k]))))[:2]
         order = np.argsort(item_points[one], kind="stable")
@@ -78,10 +78,10 @@ def along(items: Items, own: tuple[Floats, ...], reach: Floats) -> Columns:
         keep = keep[np.lexsort((j[keep], i[keep]))]
         parts.append(tuple(column.take(keep) for column in (i, j, dx, dy, dz, distance)))
         a = b
-    return _joined(parts)
+    return _join_columns(parts)
 
 
-def _joined(parts: list[Columns]) -> Columns:
+def _join_columns(parts: list[Columns]) -> Columns:
     if len(parts) == 1:
         return parts[0]
     if not parts:
@@ -90,7 +90,7 @@ def _joined(parts: list[Columns]) -> Columns:
 
 
 @kernel
-def _fill(
+def _fill_pairs(
     items: VectorColumns, agent_points: VectorColumns, reach: Array1[F32], pairs: PairColumns, row: I64, used: I64
 ) -> tuple[I64, I64]:
     """Continue with a row, after `used` pairs from earlier rows, until the arrays are full. Returns the next row and the number

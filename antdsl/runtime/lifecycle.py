@@ -13,12 +13,12 @@ from antdsl import limits
 from antdsl.fields.cells import Cells
 from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
-from antdsl.plan.traverse import needed, operands, placed
-from antdsl.runtime.claims import give
+from antdsl.plan.traverse import operands, placed, required_nodes
+from antdsl.runtime.claims import settle_gifts
 from antdsl.runtime.digging import dig
-from antdsl.runtime.moving.moving_geometry import rest_places
+from antdsl.runtime.moving.moving_geometry import agent_rest_positions
 from antdsl.runtime.requests import RequestEntry
-from antdsl.runtime.world import AXES, Emitted, Population, World, add_rows, select_rows, shares_start, stored_registers
+from antdsl.runtime.world import AXES, EmittedEvents, Population, World, add_rows, select_rows, shares_start, stored_registers
 
 _KINDS = (("species", np.int16, ()), ("id", np.int64, ()), ("event", np.int16, ()), ("place", np.float64, (3,)),
           ("normal", np.float32, (3,)))  # fmt: skip
@@ -30,12 +30,12 @@ def find_cells(world: World, population: Population) -> None:
     """Each agent's own cell of every field."""
     if world.fields and len(population):
         sides = world.ground.sides(population.footing, world.options.threads)
-        place = rest_places(world, population)
+        place = agent_rest_positions(world, population)
         cells_by_id: dict[int, Cells] = {}  # fields may share their cells
         for name, field in world.fields.items():
             if id(field.cells) not in cells_by_id:
                 known, buffer = population.voxels.get(name), population.cells.get(name)
-                cells_by_id[id(field.cells)], population.voxels[name] = field.cells.follow(
+                cells_by_id[id(field.cells)], population.voxels[name] = field.cells.lookup_again(
                     place, sides, known, buffer, world.options.threads
                 )
             population.cells[name] = cells_by_id[id(field.cells)]
@@ -44,7 +44,7 @@ def find_cells(world: World, population: Population) -> None:
 def deposit(world: World) -> None:
     """Add the deposits of agents to their own cells; they take effect when the fields step."""
     for population in world.populations.values():
-        for entry in population.effects.drained("deposit"):
+        for entry in population.effects.drain("deposit"):
             name = entry.request.of
             world.fields[name].deposit(population.cells[name][entry.rows], entry.arg(0))
 
@@ -54,7 +54,7 @@ def settle_newborn(world: World) -> None:
     if not any([population.effects.open for population in world.populations.values()]):
         return
     raise_events(world)
-    give(world)
+    settle_gifts(world)
     dig(world)
     laying = [p for p in world.populations.values() if "deposit" in p.effects.requests]
     for population in laying:
@@ -70,11 +70,11 @@ def settle_newborn(world: World) -> None:
 def raise_events(world: World) -> None:
     """Flag the agents that an event reaches; they see it in the next step."""
     for population in world.populations.values():
-        for entry in population.effects.drained("emit"):
+        for entry in population.effects.drain("emit"):
             event = entry.request.of
-            note(world, population, entry.rows, event)
+            note_emission(world, population, entry.rows, event)
             if entry.args[1] is not None:
-                _tell(world, population, entry)
+                _notify_receiver(world, population, entry)
                 continue
             if entry.args[0] is None:
                 if event in population.raised:
@@ -82,10 +82,10 @@ def raise_events(world: World) -> None:
                 continue
             for other in world.populations.values():
                 if event in other.raised and len(other):
-                    _reach(population, entry, other, other.raised[event])
+                    _flag_in_reach(population, entry, other, other.raised[event])
 
 
-def _tell(world: World, population: Population, entry: RequestEntry) -> None:
+def _notify_receiver(world: World, population: Population, entry: RequestEntry) -> None:
     """Flag the agent that each emitter names, if it exists and is in reach."""
     other = world.populations.get(entry.request.target_species or "")
     if other is None or not len(other) or entry.request.of not in other.raised:
@@ -99,7 +99,7 @@ def _tell(world: World, population: Population, entry: RequestEntry) -> None:
     other.raised[entry.request.of][receivers[is_reached]] = True
 
 
-def _reach(population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]) -> None:
+def _flag_in_reach(population: Population, entry: RequestEntry, other: Population, flags: NDArray[np.bool_]) -> None:
     """Flag agents within the distance of some emitter, by positions at the start of the step. The emitter itself is included."""
     within = entry.arg(0)
     own = [population.start[f"position.{axis}"][entry.rows] for axis in AXES]
@@ -110,11 +110,11 @@ def _reach(population: Population, entry: RequestEntry, other: Population, flags
         flags |= (np.sqrt((dx * dx + dy * dy) + dz * dz) <= within[a : a + step, None]).any(axis=0)
 
 
-def deaths_and_births(world: World) -> None:
+def apply_deaths_and_births(world: World) -> None:
     """Remove the dead, then add the newborn, with ids in order of (parent's species, parent's id, place in the text)."""
-    coming, bereft = _coming(world), False
+    coming, bereft = _collect_births(world), False
     for population in world.populations.values():
-        if dying := population.effects.drained("die"):
+        if dying := population.effects.drain("die"):
             dead = np.zeros(len(population), np.bool_)
             for entry in dying:
                 dead[entry.rows] = True
@@ -122,9 +122,9 @@ def deaths_and_births(world: World) -> None:
             bereft = True
     generation = 0
     while coming and generation < limits.BIRTHS_IN_A_ROW:
-        newborn = {name: _bear(world, world.populations[name], births) for name, births in coming.items()}
-        come_alive(world, {name: rows for name, rows in newborn.items() if len(rows)})
-        coming = _coming(world)
+        newborn = {name: _add_newborn(world, world.populations[name], births) for name, births in coming.items()}
+        initialise_newborn(world, {name: rows for name, rows in newborn.items() if len(rows)})
+        coming = _collect_births(world)
         generation += 1
     for population in world.populations.values() if bereft else ():
         forget_the_dead(world, population)
@@ -133,12 +133,12 @@ def deaths_and_births(world: World) -> None:
 Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footing, dict[str, NDArray[np.float32]]]]
 
 
-def _coming(world: World) -> dict[str, Births]:
+def _collect_births(world: World) -> dict[str, Births]:
     """Return the requested births, by species of the child, in the order in which they get their ids. Parents are read while they
     live."""
     births: dict[str, Births] = {}
     for population in world.populations.values():
-        entries = population.effects.drained("spawn")
+        entries = population.effects.drain("spawn")
         for species in sorted({e.request.of for e in entries}):
             rows = np.concatenate([e.rows for e in entries if e.request.of == species])
             order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.request.of == species])
@@ -150,7 +150,7 @@ def _coming(world: World) -> dict[str, Births]:
     return births
 
 
-def _bear(world: World, population: Population, births: Births) -> NDArray[np.intp]:
+def _add_newborn(world: World, population: Population, births: Births) -> NDArray[np.intp]:
     """Add newborn agents to the world; return their rows."""
     old = len(population)
     for _, rows, position, footing, carried in births:
@@ -168,7 +168,7 @@ def _bear(world: World, population: Population, births: Births) -> NDArray[np.in
     return np.arange(old, len(population))
 
 
-def come_alive(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
+def initialise_newborn(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
     """Run the block `born` to fill the registers of new rows, by species. Their position, up, heading and velocity are already
     set.
 
@@ -186,7 +186,7 @@ def come_alive(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
                 population.start[register] = array.copy()
             else:
                 population.start[register][rows] = array[rows]
-        if _smells(population):
+        if _has_birth_fields(population):
             find_cells(world, population)
     for name, rows in newborn.items():
         world.backend.run(world, world.populations[name], "born", rows)
@@ -200,9 +200,9 @@ def come_alive(world: World, newborn: Mapping[str, NDArray[np.intp]]) -> None:
                 population.start[register][rows] = array[rows]
 
 
-def _smells(population: Population) -> bool:
+def _has_birth_fields(population: Population) -> bool:
     """Return whether the species reads a field at birth."""
-    nodes = needed(tuple(node for _, statement in placed(population.plan.born) for node in operands(statement)))
+    nodes = required_nodes(tuple(node for _, statement in placed(population.plan.born) for node in operands(statement)))
     return any(node.op.startswith("field.") for node in nodes)
 
 
@@ -228,7 +228,7 @@ def event_names(world: World) -> tuple[str, ...]:
     return tuple(sorted(names))
 
 
-def note(world: World, population: Population, rows: NDArray[np.intp], event: str) -> None:
+def note_emission(world: World, population: Population, rows: NDArray[np.intp], event: str) -> None:
     """Keep who emitted an event, where it was."""
     if world.emitted is None:
         return
@@ -236,14 +236,14 @@ def note(world: World, population: Population, rows: NDArray[np.intp], event: st
     species = sorted(world.populations).index(population.name)
     count = len(rows)
     world.emitted.append(
-        Emitted(
+        EmittedEvents(
             np.full(count, species, np.int16), population.ids[rows], np.full(count, names.index(event), np.int16),
             population.position[rows], population.normal[rows],
         )
     )  # fmt: skip
 
 
-def emitted_since(world: World) -> Emitted:
+def take_emissions(world: World) -> EmittedEvents:
     """Return the events emitted since the last call, by species, id and event."""
     entries, world.emitted = world.emitted or [], None if world.emitted is None else []
     arrays = {
@@ -251,4 +251,4 @@ def emitted_since(world: World) -> Emitted:
         for name, kind, wide in _KINDS
     }
     order = np.lexsort((arrays["event"], arrays["id"], arrays["species"]))
-    return Emitted(*(array[order] for array in arrays.values()))
+    return EmittedEvents(*(array[order] for array in arrays.values()))

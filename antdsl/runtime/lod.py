@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import RayScene
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.scene.geometry.live_faces import components
+from antdsl.scene.geometry.live_faces import component_numbers
 from antdsl.scene.setting import DetailData, MeshData
 
 Boxes = tuple[NDArray[np.float32], NDArray[np.float32]]  # least and greatest corners
@@ -40,13 +40,13 @@ class Detail:
         self._boxes: dict[str, Boxes] = {}
         self._scenes: dict[str, RayScene] = {}
         for name, mesh in obstacles.items():
-            self.pose(name, mesh.vertices)
+            self.move_boxes(name, mesh.vertices)
         self.counts = np.zeros(1 + len(LEVELS), np.int64)
 
-    def pose(self, name: str, vertices: NDArray[np.float64]) -> None:
+    def move_boxes(self, name: str, vertices: NDArray[np.float64]) -> None:
         """Move an obstacle's boxes to its current vertices."""
         self._boxes[name] = self._pieces[name].boxes(vertices)
-        self._scenes[name] = _scene(*self._boxes[name])
+        self._scenes[name] = _boxes_scene(*self._boxes[name])
 
     def observe(self, world: World) -> None:
         """Count who is at which level as a step begins."""
@@ -78,7 +78,7 @@ class Detail:
             place, levels = self._cached_levels(world, population)
             felt_levels = levels.copy()
             middle = np.flatnonzero(felt_levels == 1)
-            felt_levels[middle[inside(place[middle], *self._boxes[name])]] = 0
+            felt_levels[middle[is_in_boxes(place[middle], *self._boxes[name])]] = 0
             world.clearances[key] = felt_levels
         return felt_levels
 
@@ -91,7 +91,7 @@ class Detail:
         key = (population.name, f"~boxes of {name}", population.version)
         distances: NDArray[np.float32] | None = world.clearances.get(key)
         if distances is None:
-            distances = self._scenes[name].clearance(*vec.named(population.start, "position"), world.options.threads)
+            distances = self._scenes[name].clearance(*vec.vector_registers(population.start, "position"), world.options.threads)
             world.clearances[key] = distances
         return distances
 
@@ -101,10 +101,10 @@ class Detail:
         key = (population.name, "~level", population.version)
         levels: NDArray[np.int8] | None = world.clearances.get(key)
         if levels is None:
-            levels = world.clearances[key] = self._levels(place, world.frame)
+            levels = world.clearances[key] = self._find_levels_at(place, world.frame)
         return place, levels
 
-    def _levels(self, place: NDArray[np.float32], frame: int) -> NDArray[np.int8]:
+    def _find_levels_at(self, place: NDArray[np.float32], frame: int) -> NDArray[np.int8]:
         away = place.astype(np.float64) - self._camera[min(max(frame - self._first, 0), len(self._camera) - 1)]
         distance: NDArray[np.float64] = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
         return (distance > self._near).astype(np.int8) + (distance > self._far).astype(np.int8)
@@ -119,7 +119,7 @@ class Pieces:
 
     def __init__(self, mesh: MeshData) -> None:
         self._used = np.unique(mesh.faces)
-        self._piece = _pieces(mesh, self._used)
+        self._piece = _number_pieces(mesh, self._used)
         self._count = int(self._piece.max(initial=-1)) + 1
 
     def boxes(self, vertices: NDArray[np.float64]) -> Boxes:
@@ -130,24 +130,24 @@ class Pieces:
         return low.astype(np.float32), high.astype(np.float32)
 
 
-def _pieces(mesh: MeshData, used: NDArray[np.int32]) -> NDArray[np.int64]:
+def _number_pieces(mesh: MeshData, used: NDArray[np.int32]) -> NDArray[np.int64]:
     """The number of the piece that each used vertex belongs to."""
     if not len(mesh.faces):
         return np.zeros(0, np.int64)
     points, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
     faces = same.reshape(-1)[mesh.faces]
-    of_place = components(np.concatenate([faces[:, :2], faces[:, 1:]]), len(points))
+    of_place = component_numbers(np.concatenate([faces[:, :2], faces[:, 1:]]), len(points))
     numbers: NDArray[np.int64] = np.unique(of_place[same.reshape(-1)[used]], return_inverse=True)[1].reshape(-1)
     return numbers
 
 
-def _scene(low: NDArray[np.float32], high: NDArray[np.float32]) -> RayScene:
+def _boxes_scene(low: NDArray[np.float32], high: NDArray[np.float32]) -> RayScene:
     corners = low[:, None, :].astype(np.float64) + _CORNERS * (high.astype(np.float64) - low)[:, None, :]
     faces = _SIDES[None] + 8 * np.arange(len(low), dtype=np.int32)[:, None, None]
     return RayScene(corners.reshape(-1, 3), faces.reshape(-1, 3))
 
 
-def inside(place: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.bool_]:
+def is_in_boxes(place: NDArray[np.float32], low: NDArray[np.float32], high: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return which places [n,3] lie in one of the boxes. Most lie in a cell of a coarse grid that no box reaches."""
     is_inside = np.zeros(len(place), np.bool_)
     if not len(place) or not len(low):

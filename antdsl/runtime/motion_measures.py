@@ -17,10 +17,10 @@ from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2,
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import VectorColumns
-from antdsl.numerics.parallel import own
-from antdsl.runtime.binding.spacing import takes_room
-from antdsl.runtime.moving.capsules import depths
-from antdsl.runtime.moving.heads import heads_inside
+from antdsl.numerics.parallel import buffer_index
+from antdsl.runtime.binding.spacing import has_extent
+from antdsl.runtime.moving.capsules import overlap_depths
+from antdsl.runtime.moving.heads import find_heads_inside
 from antdsl.runtime.world import AXES
 from antdsl.senses.overlaps import worst_overlaps
 
@@ -85,7 +85,7 @@ class Motion:
     overlapping: int = 0
     deep_max: float = 0.0
     half_max: float = 0.0  # the half chord of a tilt that `tilt_max` was computed for
-    counted: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 1, _BINS + 1), np.int64))  # see `_add_counted`
+    counted: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 1, _BINS + 1), np.int64))  # see `_sum_parts`
     windows: dict[str, Window] = field(default_factory=dict)
 
     def reset(self) -> None:
@@ -100,14 +100,14 @@ class Motion:
         if not crowds:
             return
         radius = np.concatenate([now["radius"] for now in crowds])
-        wide = takes_room(radius)
+        wide = has_extent(radius)
         x, y, z = (np.concatenate([now[f"position.{axis}"] for now in crowds])[wide] for axis in "xyz")
         self.placed = len(radius)
         self.overlapping = int(np.count_nonzero(worst_overlaps(x, y, z, radius[wide]) > _TOUCH))
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All counts by name, for a checkpoint."""
-        self._add_counted()
+        self._sum_parts()
         named_arrays = {name: np.array(getattr(self, name)) for name in _COUNTS}
         for species, window in self.windows.items():
             named_arrays |= {f"window.{species}.{name}": np.array(getattr(window, name)) for name in _WINDOW_COLUMNS}
@@ -131,24 +131,26 @@ class Motion:
         every = second if world.setting.contacts == "off" else 1 + len(world) // _AT_EVERY_STEP
         crowds = [population for population in world.populations.values() if len(population)]
         for population in crowds:
-            self._step(world, population)
+            self._add_step(world, population)
         with_depths = self.steps % every == 0 and len(world) > 1
         bodies = self.steps % second == 0
         if with_depths or bodies:
-            self._bodies(world, with_depths, crowds if bodies else [])
+            self._measure_bodies(world, with_depths, crowds if bodies else [])
         self.steps += 1
 
-    def _step(self, world: World, population: Population) -> None:
+    def _add_step(self, world: World, population: Population) -> None:
         window = self._window(population)
         steps = max(1, round(_WINDOW / world.dt))
-        straight = self._counted(population, window, np.float32(world.dt), steps, world.options.threads)
+        straight = self._count_kernel_step(population, window, np.float32(world.dt), steps, world.options.threads)
         self.wishing += len(population)
         if len(straight):
             self.ways += len(straight)
             self.circling += int(np.count_nonzero(straight < _CIRCLING))
             self.straightness += fsum(straight)  # the same in any order of rows
 
-    def _counted(self, population: Population, window: Window, dt: np.float32, steps: int, threads: int) -> NDArray[np.float64]:
+    def _count_kernel_step(
+        self, population: Population, window: Window, dt: np.float32, steps: int, threads: int
+    ) -> NDArray[np.float64]:
         """Add a step to the counts and the paths; return the straightness of the paths that have ended, 0 to 1."""
         now, start = _NOW(population.now), _START(population.start)
         poses = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
@@ -157,21 +159,21 @@ class Motion:
         n = len(population)
         several = parallel.parts(n, threads, parallel.LIGHT)
         if self.counted.shape[1] < several:
-            self._add_counted()
+            self._sum_parts()
             self.counted = np.zeros((2, several, _BINS + 1), np.int64)
-        (turns, tilts), (least, first) = self.counted, _bins()
+        (turns, tilts), (least, first) = self.counted, _bin_table()
         bins = Bins(turns, tilts, several, n, least, first)
-        work = partial(_count_step, agents, paths, bins, Meant(dt, *_MEANT, steps))
+        work = partial(_count_step, agents, paths, bins, MotionLimits(dt, *_MEANT, steps))
         counts = parallel.in_parts(work, n, threads, parallel.LIGHT)
         for _, _, standing, half, share in counts:
             if half > self.half_max:
                 self.half_max = half
-                self.tilt_max = max(self.tilt_max, float(_angle(np.array([half], np.float32))[0]))
+                self.tilt_max = max(self.tilt_max, float(_degrees(np.array([half], np.float32))[0]))
             self.step_max = max(self.step_max, share)
             self.standing += standing
-        return parallel.joined(counts, window.straight)[0]
+        return parallel.join_parts(counts, window.straight)[0]
 
-    def _add_counted(self) -> None:
+    def _sum_parts(self) -> None:
         """Add up the turns and tilts that each part of a kernel has counted in separate rows."""
         for total, rows in zip((self.turns, self.tilts), self.counted, strict=True):
             total += rows.sum(axis=0)
@@ -203,15 +205,15 @@ class Motion:
         self.windows[population.name] = fresh
         return fresh
 
-    def _bodies(self, world: World, with_depths: bool, crowds: list[Population]) -> None:
+    def _measure_bodies(self, world: World, with_depths: bool, crowds: list[Population]) -> None:
         """Measure, if `with_depths`, how far trunks penetrate each other. Of some crowds, also measure how far agents overlap (0
         apart, 1 at one position, for the worst neighbour), and which heads are inside the ground. The measures run separately, in
         parallel."""
-        looks: list[Callable[[], NDArray[Any]]] = [partial(depths, world)] if with_depths else []
+        looks: list[Callable[[], NDArray[Any]]] = [partial(overlap_depths, world)] if with_depths else []
         for population in crowds:
             now = population.now
-            looks.append(partial(worst_overlaps, *vec.named(now, "position"), now["radius"]))
-            looks.append(partial(heads_inside, world, population))
+            looks.append(partial(worst_overlaps, *vec.vector_registers(now, "position"), now["radius"]))
+            looks.append(partial(find_heads_inside, world, population))
 
         def run_looks(begin: int, end: int) -> list[NDArray[Any]]:
             with np.errstate(all="ignore"):  # which each thread has for itself
@@ -228,7 +230,7 @@ class Motion:
     def summary(self) -> dict[str, float]:
         """turn_p99, tilt_p99, tilt_max (degrees a step), step_max (of the longest step allowed), circling, standing,
         heads_inside, overlap_start, deep_max (shares), overlap_p99 (0 apart .. 1 in one place), straightness."""
-        self._add_counted()
+        self._sum_parts()
         return {
             "turn_p99": _percentile(self.turns) * 180.0,
             "tilt_p99": _percentile(self.tilts) * 180.0,
@@ -244,7 +246,7 @@ class Motion:
         }
 
 
-def _angle(half: NDArray[np.float32]) -> NDArray[np.float32]:
+def _degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:
     """Degrees over a half chord of the unit circle."""
     angle: NDArray[np.float32] = np.degrees(2 * np.arcsin(half))
     return angle
@@ -255,7 +257,7 @@ def _bin_of(angle: NDArray[np.float32]) -> NDArray[np.int64]:
 
 
 @cache
-def _bins() -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+def _bin_table() -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     """Return the bin tables of turns.
 
     First the least half chord of each bin, float32[bins + 2]; the last is beyond all. Then the bin of the least half chord of
@@ -264,10 +266,10 @@ def _bins() -> tuple[NDArray[np.float32], NDArray[np.int64]]:
     low, high = (np.full(_BINS, np.float32(end).view(np.int32), np.int64) for end in (0.0, 1.0))
     while (low < high).any():  # positive floats are ordered as their bits are
         middle = (low + high) >> 1
-        is_reached = _bin_of(_angle(middle.astype(np.int32).view(np.float32))) >= bin_numbers
+        is_reached = _bin_of(_degrees(middle.astype(np.int32).view(np.float32))) >= bin_numbers
         low, high = np.where(is_reached, low, np.minimum(middle + 1, high)), np.where(is_reached, middle, high)
     least = np.concatenate([[0.0], low.astype(np.int32).view(np.float32), [np.inf]]).astype(np.float32)
-    return least, _bin_of(_angle(np.arange(_CELLS + 1, dtype=np.float32) / np.float32(_CELLS)))
+    return least, _bin_of(_degrees(np.arange(_CELLS + 1, dtype=np.float32) / np.float32(_CELLS)))
 
 
 def _percentile(counts: NDArray[Any]) -> float:
@@ -282,12 +284,12 @@ def _length(x: Any, y: Any, z: Any) -> Any:
 
 
 @inlined
-def _between(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
+def _half_chord(a: VectorColumns, b: VectorColumns, i: I64) -> F32:
     return _length(a[0][i] - b[0][i], a[1][i] - b[1][i], a[2][i] - b[2][i])
 
 
 @inlined
-def _count(half: F32, least: Array1[F32], first: Array1[I64], bins: Array2[I64], part: I64) -> None:
+def _count_bin(half: F32, least: Array1[F32], first: Array1[I64], bins: Array2[I64], part: I64) -> None:
     """Count in the last bin that has a least half chord of at most `half`. `first`: the bin to search from, by size."""
     k = first[np.int64(half * np.float32(4096.0))]
     k += 1 if half >= least[k + 1] else 0  # seldom more, so that what follows is foretold
@@ -334,7 +336,7 @@ class Bins(NamedTuple):
     first: Array1[I64]
 
 
-class Meant(NamedTuple):
+class MotionLimits(NamedTuple):
     """Seconds of a step; the least push that counts as a wish; the share of speed below which an agent stands. A path ends after
     `steps`, and counts if it is `far` body lengths long."""
 
@@ -357,33 +359,33 @@ class StepCounts(NamedTuple):
 
 
 @kernel
-def _count_step(agents: Agents, paths: Paths, bins: Bins, meant: Meant, begin: I64, end: I64) -> StepCounts:
+def _count_step(agents: Agents, paths: Paths, bins: Bins, meant: MotionLimits, begin: I64, end: I64) -> StepCounts:
     """Add one step of agents from `begin` to before `end` to the measures."""
     position, heading, up, position_before, heading_before, up_before, velocity, push, fastest, size = agents
     place, began, path, age, straight = paths
     turns, tilts, several, count, least, first = bins
     dt, wish, still, far, steps = meant
-    ended, standing, part = 0, 0, own(begin, count, several)
+    ended, standing, part = 0, 0, buffer_index(begin, count, several)
     tilted, longest = np.float32(0.0), np.float32(0.0)
     turn, tilt, share, speed = scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32), scratch(_PART, F32)
     push_lengths = scratch(_PART, F32)
     for low in range(begin, end, 512):
         high = min(low + _PART, end)
         for i in independent(low, high):
-            turn[i - low] = _between(heading, heading_before, i) * np.float32(0.5)
+            turn[i - low] = _half_chord(heading, heading_before, i) * np.float32(0.5)
         for i in independent(low, high):
-            tilt[i - low] = _between(up, up_before, i) * np.float32(0.5)
+            tilt[i - low] = _half_chord(up, up_before, i) * np.float32(0.5)
         for i in independent(low, high):
-            share[i - low] = _between(position, position_before, i) / (fastest[i] * dt)
+            share[i - low] = _half_chord(position, position_before, i) / (fastest[i] * dt)
         for i in independent(low, high):
             speed[i - low] = _length(velocity[0][i], velocity[1][i], velocity[2][i])
         for i in independent(low, high):
             push_lengths[i - low] = _length(push[0][i], push[1][i], push[2][i])
         for i in range(low, high):
             at = i - low
-            _count(min(turn[at], np.float32(1.0)), least, first, turns, part)
+            _count_bin(min(turn[at], np.float32(1.0)), least, first, turns, part)
             half = min(tilt[at], np.float32(1.0))
-            _count(half, least, first, tilts, part)
+            _count_bin(half, least, first, tilts, part)
             tilted = max(tilted, half)
             if fastest[i] * dt > np.float32(0.0) and share[at] > longest:
                 longest = share[at]

@@ -36,7 +36,7 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
     asking = np.arange(len(mine))
     while len(asking):
         if count > _ALIKE:
-            parts += _of_all(other, own, ids, asking)
+            parts += _nearest_by_measuring(other, own, ids, asking)
             break
         left = []
         at_once = max(1, _AT_ONCE // count)
@@ -51,7 +51,7 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
             is_complete = (last > reach) | (count == every)
             near = np.isfinite(away) & (away <= reach[:, None]) & is_complete[:, None]
             who, which = np.nonzero(near)
-            parts.append(_least(other, own, batch.take(who), row[who, which]))
+            parts.append(_measure_pairs(other, own, batch.take(who), row[who, which]))
             left.append(batch[~is_complete])
         asking, count = np.concatenate(left), min(every, _GROWTH * count)
     if not parts:
@@ -62,7 +62,7 @@ def nearest_of_all(world: World, other: Population, own: tuple[Floats, ...], ids
     return i, j, dx, dy, dz, distance
 
 
-def _of_all(
+def _nearest_by_measuring(
     other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, asking: NDArray[np.intp]
 ) -> list[PairColumns]:
     """Find the nearest of all others for some requesting agents, by measuring all pairs."""
@@ -82,7 +82,7 @@ def _of_all(
     return parts
 
 
-def _least(other: Population, own: tuple[Floats, ...], i: NDArray[np.intp], j: NDArray[np.intp]) -> PairColumns:
+def _measure_pairs(other: Population, own: tuple[Floats, ...], i: NDArray[np.intp], j: NDArray[np.intp]) -> PairColumns:
     """Return the nearest of candidate pairs, one for each requesting agent."""
     dx, dy, dz = (other.start[f"position.{axis}"].take(j) - own[k].take(i) for k, axis in enumerate(AXES))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)

@@ -16,10 +16,10 @@ from antdsl import limits
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, independent, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.kernel_vectors import Vec3, cross, direction, dot, flat, put
+from antdsl.numerics.kernel_vectors import Vec3, cross, dot, flat, put_vector, unit_or_perpendicular
 from antdsl.numerics.vectors import Vector
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.clear_velocity import Others, clear_velocities, widest_gaps
+from antdsl.senses.clear_velocity import Neighbours, clear_velocities, widest_gaps
 from antdsl.senses.neighbours import CellGrid, Pairs
 
 Vectors32 = tuple[Array1[F32], Array1[F32], Array1[F32]]
@@ -41,57 +41,57 @@ def clear_velocity(
     as at the start of the step."""
     threads = world.options.threads
     plane = Plane.of(population, rows, threads)
-    moves = plane.moves(population, rows, wish, threads)
-    others = _others(world, population, rows, within, most, moves.own, plane)
+    moves = plane.measure_moves(population, rows, wish, threads)
+    others = _nearest_others(world, population, rows, within, most, moves.own, plane)
     sound = np.where(horizon > 0, np.minimum(horizon, 1e6), 1e6)
     x, y = clear_velocities(others, moves.velocity, moves.wish, moves.fastest, sound, world.dt, threads)
-    return plane.raised(x, y, threads)
+    return plane.to_space(x, y, threads)
 
 
 def widest_gap(world: World, population: Population, rows: Rows, within: Floats, most: Floats) -> tuple[NDArray[np.float32], ...]:
     """Return unit directions (x y z) along the ground, for some agents, into the widest gap between neighbours. These are the
     `most` nearest others of any species within `within` mm, on their side of the ground; 0 without any."""
     plane = Plane.of(population, rows, world.options.threads)
-    others = _others(world, population, rows, within, most, None, plane)
-    return plane.raised(*widest_gaps(others.x, others.y, others.is_present), world.options.threads)
+    others = _nearest_others(world, population, rows, within, most, None, plane)
+    return plane.to_space(*widest_gaps(others.x, others.y, others.is_present), world.options.threads)
 
 
-def _others(
+def _nearest_others(
     world: World, population: Population, rows: Rows, within: Floats, most: Floats, own: Vector | None, plane: Plane
-) -> Others:
+) -> Neighbours:
     """Return the nearest others of all species, at most `most` for each agent; their velocities too if `own` is given."""
     count = np.minimum(np.where(most > 0, most, 0), limits.NEIGHBOURS).astype(np.intp)
     n, widest = len(rows), int(count.max(initial=0))
     place = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     reach = np.where(within > 0, within, -1).astype(np.float32)
-    ids, radius = population.ids[rows], _radius(population, rows)
+    ids, radius = population.ids[rows], _radii(population, rows)
     far = float(reach.max(initial=0.0, where=np.isfinite(reach)))
     shape = (n, widest)
     x, y, vx, vy, radius_sum = (np.zeros(shape) for _ in range(5))
     is_present, first = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
     nearest = np.empty(shape, np.float32), *(np.empty(shape, np.int64) for _ in range(3)), np.zeros(n, np.int64)
-    up, ahead, left = (_plain(each) for each in (plane.up, plane.ahead, plane.left))
-    moving = ahead if own is None else _plain(own)
-    asking = Asking(ids, radius, ahead, left, own is not None, moving)
+    up, ahead, left = (_kernel_vector(each) for each in (plane.up, plane.ahead, plane.left))
+    moving = ahead if own is None else _kernel_vector(own)
+    asking = AskingAgents(ids, radius, ahead, left, own is not None, moving)
     columns = OtherColumns(x, y, vx, vy, radius_sum, is_present, first)
     candidates = []
     for number, (name, other) in enumerate(world.populations.items()):
         if not len(other) or not widest:
             continue
         p = _near(world, other, ids if other is population else None, place, reach, far)
-        theirs = _plain(vec.named(other.start, "up"))
-        _choose(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
+        theirs = _kernel_vector(vec.vector_registers(other.start, "up"))
+        _choose_nearest(p.i, p.j, p.distance, up, theirs, other.ids, number, count, nearest)
         candidates.append((number, name, other, p))
     for number, name, other, p in candidates:
-        velocity = _plain(vec.named(other.start, "velocity"))
-        other_species = Asked(number, other is population, population.name < name, velocity, _radius(other))
-        _lay(nearest, asking, other_species, p.j, (p.dx, p.dy, p.dz), columns)
-    return Others(*columns)
+        velocity = _kernel_vector(vec.vector_registers(other.start, "velocity"))
+        other_species = Asked(number, other is population, population.name < name, velocity, _radii(other))
+        _fill_columns(nearest, asking, other_species, p.j, (p.dx, p.dy, p.dz), columns)
+    return Neighbours(*columns)
 
 
-def _plain(vectors: vec.Columns) -> Vector:
+def _kernel_vector(vectors: vec.Columns) -> Vector:
     """The same, as kernels read them."""
-    x, y, z = parallel.plain(*vectors)
+    x, y, z = parallel.contiguous(*vectors)
     return x, y, z
 
 
@@ -101,10 +101,10 @@ def _near(
     """Return pairs of places and agents of a species within their `reach`, at most `far` (mm). `ids`: those of the places, if
     they are agents of this species."""
     grid = grid_for(world, other, far if far > 0 else 1.0)
-    return grid.pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=ids, threads=world.options.threads)
+    return grid.find_pairs(None, reach, qx=place[0], qy=place[1], qz=place[2], qid=ids, threads=world.options.threads)
 
 
-def _radius(population: Population, rows: Rows | slice = slice(None)) -> Floats:
+def _radii(population: Population, rows: Rows | slice = slice(None)) -> Floats:
     radius = population.start["radius"][rows].astype(np.float64)
     return np.where(np.isfinite(radius) & (radius > 0), radius, 0.0)
 
@@ -115,7 +115,7 @@ def _dot(a: Vec3, b: Vec3) -> F64:
 
 
 @kernel
-def _choose(
+def _choose_nearest(
     i: Array1[I64], j: Array1[I64], distance: Array1[F32], up: Vectors64, theirs: Vectors32, ids: Array1[I64], number: I64,
     most: Array1[I64], nearest: Nearest,
 ) -> None:  # fmt: skip
@@ -124,7 +124,7 @@ def _choose(
     far, species, names, pairs, taken = nearest
     for k in range(i.size):
         a, b = i[k], j[k]
-        if not _dot((up[0][a], up[1][a], up[2][a]), known(theirs[0][b], theirs[1][b], theirs[2][b])) > 0.0:
+        if not _dot((up[0][a], up[1][a], up[2][a]), finite_vector(theirs[0][b], theirs[1][b], theirs[2][b])) > 0.0:
             continue
         d, name, at = distance[k], ids[b], taken[a]
         while at > 0:
@@ -148,7 +148,7 @@ def _choose(
         far[a, at], species[a, at], names[a, at], pairs[a, at] = d, number, name, k
 
 
-class Asking(NamedTuple):
+class AskingAgents(NamedTuple):
     """The requesting agents: their ids, radii, planes, and velocities if these count (`moves`)."""
 
     ids: Array1[I64]
@@ -171,7 +171,7 @@ class Asked(NamedTuple):
 
 
 class OtherColumns(NamedTuple):
-    """The columns of `Others`."""
+    """The columns of `Neighbours`."""
 
     x: Array2[F64]
     y: Array2[F64]
@@ -183,8 +183,8 @@ class OtherColumns(NamedTuple):
 
 
 @kernel
-def _lay(
-    nearest: Nearest, asking: Asking, other_species: Asked, j: Array1[I64], offset: Vectors32, columns: OtherColumns
+def _fill_columns(
+    nearest: Nearest, asking: AskingAgents, other_species: Asked, j: Array1[I64], offset: Vectors32, columns: OtherColumns
 ) -> None:
     """Fill the columns for the neighbours of one species in the tables."""
     ids, radius, ahead, left, moves, own = asking
@@ -203,7 +203,7 @@ def _lay(
             x[a, c] = _dot((wx, wy, wz), (ax, ay, az))
             y[a, c] = _dot((wx, wy, wz), (lx, ly, lz))
             if moves:
-                tx, ty, tz = known(theirs[0][b], theirs[1][b], theirs[2][b])
+                tx, ty, tz = finite_vector(theirs[0][b], theirs[1][b], theirs[2][b])
                 mx, my, mz = own[0][a] - tx, own[1][a] - ty, own[2][a] - tz
                 vx[a, c] = _dot((mx, my, mz), (ax, ay, az))
                 vy[a, c] = _dot((mx, my, mz), (lx, ly, lz))
@@ -234,30 +234,30 @@ class Plane:
     @classmethod
     def of(cls, population: Population, rows: Rows, threads: int) -> Plane:
         """Return the plane of the agents of some rows, as at the start of the step."""
-        up, heading = (vec.named(population.start, name) for name in ("up", "heading"))
+        up, heading = (vec.vector_registers(population.start, name) for name in ("up", "heading"))
         axes = np.empty((3, 3, len(rows)))
-        parallel.in_parts(partial(_stand, rows, up, heading, *axes), len(rows), threads, parallel.LIGHT)
+        parallel.in_parts(partial(_fill_axes, rows, up, heading, *axes), len(rows), threads, parallel.LIGHT)
         return cls(*(tuple(each) for each in axes))
 
-    def moves(self, population: Population, rows: Rows, wish: Vector, threads: int) -> Moves:
+    def measure_moves(self, population: Population, rows: Rows, wish: Vector, threads: int) -> Moves:
         """Return the motion of these agents, with the velocities (mm/s) in space that they wish for. NaN becomes 0."""
         start = population.start
-        velocity, speed = vec.named(start, "velocity"), start["max_speed"]
+        velocity, speed = vec.vector_registers(start, "velocity"), start["max_speed"]
         wished, n = tuple(np.ascontiguousarray(component, np.float64) for component in wish), len(rows)
         own, laid, fastest = np.empty((3, n)), np.empty((4, n)), np.empty(n)
-        work = partial(_move, rows, velocity, speed, wished, self.ahead, self.left, own, laid, fastest)
+        work = partial(_fill_moves, rows, velocity, speed, wished, self.ahead, self.left, own, laid, fastest)
         parallel.in_parts(work, n, threads, parallel.LIGHT)
         return Moves((own[0], own[1], own[2]), (laid[0], laid[1]), (laid[2], laid[3]), fastest)
 
-    def raised(self, x: Floats, y: Floats, threads: int) -> tuple[NDArray[np.float32], ...]:
+    def to_space(self, x: Floats, y: Floats, threads: int) -> tuple[NDArray[np.float32], ...]:
         """Vectors of such parts."""
         vectors = np.empty((3, len(x)), np.float32)
-        parallel.in_parts(partial(_lift, self.ahead, self.left, x, y, vectors), len(x), threads, parallel.LIGHT)
+        parallel.in_parts(partial(_fill_vectors, self.ahead, self.left, x, y, vectors), len(x), threads, parallel.LIGHT)
         return tuple(vectors)
 
 
 @inlined
-def known(x: Any, y: Any, z: Any) -> Vec3:
+def finite_vector(x: Any, y: Any, z: Any) -> Vec3:
     """A vector in float64, 0 where it is no number."""
     a, b, c = np.float64(x), np.float64(y), np.float64(z)
     good = np.isfinite(a) and np.isfinite(b) and np.isfinite(c)
@@ -270,12 +270,12 @@ def _of(vectors: Vectors64, k: I64) -> Vec3:
 
 
 @inlined
-def _known_of(vectors: tuple[Array1[Any], Array1[Any], Array1[Any]], k: I64) -> Vec3:
-    return known(vectors[0][k], vectors[1][k], vectors[2][k])
+def _read_finite(vectors: tuple[Array1[Any], Array1[Any], Array1[Any]], k: I64) -> Vec3:
+    return finite_vector(vectors[0][k], vectors[1][k], vectors[2][k])
 
 
 @kernel
-def _stand(
+def _fill_axes(
     rows: Array1[I64],
     up: Vectors32,
     heading: Vectors32,
@@ -288,15 +288,15 @@ def _stand(
     """`Plane.of` for some rows, from the `begin`-th to before the `end`-th: their axes (3, n)."""
     for k in independent(begin, end):
         row = rows[k]
-        u = _known_of(up, row)
-        forward = direction(flat(_known_of(heading, row), u), u)
-        put(above, k, u)
-        put(ahead, k, forward)
-        put(left, k, cross(u, forward))
+        u = _read_finite(up, row)
+        forward = unit_or_perpendicular(flat(_read_finite(heading, row), u), u)
+        put_vector(above, k, u)
+        put_vector(ahead, k, forward)
+        put_vector(left, k, cross(u, forward))
 
 
 @kernel
-def _move(
+def _fill_moves(
     rows: Array1[I64],
     velocity: Vectors32,
     max_speed: Array1[F32],
@@ -313,15 +313,17 @@ def _move(
     and wish (4, n)."""
     for k in independent(begin, end):
         row = rows[k]
-        v, w, x, y = _known_of(velocity, row), _known_of(wish, k), _of(ahead, k), _of(left, k)
-        put(own, k, v)
+        v, w, x, y = _read_finite(velocity, row), _read_finite(wish, k), _of(ahead, k), _of(left, k)
+        put_vector(own, k, v)
         laid[0, k], laid[1, k], laid[2, k], laid[3, k] = dot(v, x), dot(v, y), dot(w, x), dot(w, y)
         speed = np.float64(max_speed[row])
         fastest[k] = min(speed if speed > 0.0 else 0.0, _FASTEST)
 
 
 @kernel
-def _lift(ahead: Vectors64, left: Vectors64, x: Array1[F64], y: Array1[F64], vectors: Array2[F32], begin: I64, end: I64) -> None:
+def _fill_vectors(
+    ahead: Vectors64, left: Vectors64, x: Array1[F64], y: Array1[F64], vectors: Array2[F32], begin: I64, end: I64
+) -> None:
     """`Plane.raised`, from the `begin`-th to before the `end`-th, into `vectors` (3, n)."""
     for k in independent(begin, end):
         for axis in range(3):

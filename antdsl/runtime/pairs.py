@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.numerics import exact_sums
 from antdsl.plan import ir
-from antdsl.plan.traverse import blocks, needed, operands, statements
+from antdsl.plan.traverse import blocks, operands, required_nodes, statements
 from antdsl.runtime.faults import Fault, LimitStop
 from antdsl.runtime.item_pairs import items_within
 from antdsl.runtime.nearest_pairs import nearest_of_all
 from antdsl.runtime.neighbourhood import grid_for
 from antdsl.runtime.world import AXES, Items, Population, World
-from antdsl.senses.neighbours import TooManyWithin, View
+from antdsl.senses.neighbours import TooManyNeighbours, View
 from antdsl.source import Span
 
 Floats = NDArray[np.float32]
@@ -45,11 +45,11 @@ class PairRows:
     dz: Floats
     distance: Floats
 
-    def pick(self, keep: NDArray[np.intp]) -> PairRows:
+    def select_pairs(self, keep: NDArray[np.intp]) -> PairRows:
         arrays: Any = (a.take(keep) for a in (self.i, self.j, self.dx, self.dy, self.dz, self.distance))
         return PairRows(self.of, self.count, *arrays)
 
-    def of_rows(self, rows: NDArray[np.intp]) -> PairRows:
+    def select_rows(self, rows: NDArray[np.intp]) -> PairRows:
         """Return only the pairs of some asking rows, which are numbered from 0."""
         number = np.full(self.count, -1)
         number[rows] = np.arange(len(rows))
@@ -59,7 +59,9 @@ class PairRows:
         return PairRows(self.of, len(rows), i.take(keep), *rest)
 
 
-def find(world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...], threads: int = 1) -> PairRows:
+def find_pairs(
+    world: World, population: Population, node: ir.Node, rows: Any, args: tuple[Any, ...], threads: int = 1
+) -> PairRows:
     """The pairs of a set for some rows (a slice or an array); `args` are the values of the set's operands."""
     own = tuple(np.ascontiguousarray(population.start[f"position.{axis}"][rows]) for axis in AXES)
     if node.op == "set.items":
@@ -68,29 +70,29 @@ def find(world: World, population: Population, node: ir.Node, rows: Any, args: t
     other = world.populations[node.attrs[0]]
     ids = population.ids[rows] if other is population else None
     if node.op == "set.every":
-        nearest = nearest_of_all(world, other, own, ids) if only_the_nearest(world.plan.species[population.name], node) else None
-        return _every(other, own, ids) if nearest is None else PairRows(other, len(own[0]), *nearest)
+        nearest = nearest_of_all(world, other, own, ids) if is_nearest_only(world.plan.species[population.name], node) else None
+        return _all_pairs(other, own, ids) if nearest is None else PairRows(other, len(own[0]), *nearest)
     radius, cosine = args
     view = None if node.attrs[1] else _view(population, rows, cosine, len(own[0]))
     try:
-        return _near(world, other, own, ids, radius, view, threads)
-    except TooManyWithin:
+        return _pairs_within(world, other, own, ids, radius, view, threads)
+    except TooManyNeighbours:
         pass
     species = world.plan.species[population.name]
     count = count_nearest(species, node)
     try:
         if count is None:
-            raise TooManyWithin
-        return _near(world, other, own, ids, _shorter(other, own, ids, radius, count), view, threads)
-    except TooManyWithin:
+            raise TooManyNeighbours
+        return _pairs_within(world, other, own, ids, _shorten_radii(other, own, ids, radius, count), view, threads)
+    except TooManyNeighbours:
         span = _find_request(species, node)
         what = "neighbours" if span is None else " ".join(span.text.split())
         why = f"has more than {limits.WITHIN_RADIUS:,} others in its radius; the {limits.NEIGHBOURS} nearest count"
-        fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_advice(other, radius)}")
+        fault = Fault(world.frame, population.name, -1, what, span, (), f"{why}: {_radius_advice(other, radius)}")
         raise LimitStop(fault) from None
 
 
-def _advice(other: Population, radius: Any) -> str:
+def _radius_advice(other: Population, radius: Any) -> str:
     """Return advice on too many agents in a radius: more than fit next to each other in it must overlap."""
     widest, body = float(np.max(radius)), float(np.median(other.start["radius"]))
     if 0 < widest < body * np.sqrt(limits.WITHIN_RADIUS):
@@ -98,7 +100,7 @@ def _advice(other: Population, radius: Any) -> str:
     return "write a smaller one"
 
 
-def only_the_nearest(species: ir.SpeciesPlan, node: ir.Node) -> bool:
+def is_nearest_only(species: ir.SpeciesPlan, node: ir.Node) -> bool:
     """Return whether a set is a whole species of which only the nearest agent is used: then that one stands for the set."""
     return node.op == "set.every" and count_nearest(species, node) == 1
 
@@ -106,7 +108,7 @@ def only_the_nearest(species: ir.SpeciesPlan, node: ir.Node) -> bool:
 @lru_cache(256)
 def count_nearest(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
     """Return how many of the nearest agents of a set determine all its results; None if more than its nearest is used."""
-    every = needed(n for _, block in blocks(species) for _, statement in statements(block) for n in operands(statement))
+    every = required_nodes(n for _, block in blocks(species) for _, statement in statements(block) for n in operands(statement))
     reductions = [each for each in every if each.op.startswith("reduce.") and each.args[0] is node]
     if not reductions or any(each.op != "reduce.agent" or each.args[2].op != "pair.distance" for each in reductions):
         return None
@@ -115,7 +117,7 @@ def count_nearest(species: ir.SpeciesPlan, node: ir.Node) -> int | None:
     return 1 if plain else limits.NEIGHBOURS
 
 
-def _shorter(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int) -> Floats:
+def _shorten_radii(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None, radius: Any, count: int) -> Floats:
     """Return the radii, reduced to what still reaches the nearest `count` others."""
     from scipy.spatial import cKDTree
 
@@ -131,21 +133,21 @@ def _shorter(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] 
 def _find_request(species: ir.SpeciesPlan, node: ir.Node) -> Span | None:
     """Return where the species' own text uses a set that a library may define: the smallest part of the text that needs the
     set."""
-    if _own_text(node.span):
+    if _is_own_text(node.span):
         return node.span
     for _, block in blocks(species):
         for _, statement in statements(block):
-            below = needed(operands(statement))
-            if node not in below or not _own_text(statement.span):
+            below = required_nodes(operands(statement))
+            if node not in below or not _is_own_text(statement.span):
                 continue
             using = {node.number}
             using.update(each.number for each in below if any(arg.number in using for arg in each.args))
-            spans = [each.span for each in below if each.number in using and each.span is not None and _own_text(each.span)]
+            spans = [each.span for each in below if each.number in using and each.span is not None and _is_own_text(each.span)]
             return min(spans, key=lambda span: span.end - span.start, default=statement.span)
     return node.span
 
 
-def _own_text(span: Span | None) -> bool:
+def _is_own_text(span: Span | None) -> bool:
     return span is not None and not span.source.path.startswith("<")
 
 
@@ -155,7 +157,7 @@ def _view(population: Population, rows: Any, cosine: Any, count: int) -> View:
     return hx, hy, hz, np.full(count, cosine) if np.ndim(cosine) == 0 else cosine
 
 
-def _near(
+def _pairs_within(
     world: World,
     other: Population,
     own: tuple[Floats, ...],
@@ -167,11 +169,13 @@ def _near(
     widest = float(np.max(radius, initial=0.0)) if np.size(radius) else 0.0
     widest = widest if np.isfinite(widest) and widest > 0 else 1.0
     grid = grid_for(world, other, widest)
-    p = grid.pairs(None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads, limit=limits.WITHIN_RADIUS)
+    p = grid.find_pairs(
+        None, radius, qx=own[0], qy=own[1], qz=own[2], qid=ids, view=view, threads=threads, limit=limits.WITHIN_RADIUS
+    )
     return PairRows(other, len(own[0]), p.i, p.j, p.dx, p.dy, p.dz, p.distance)
 
 
-def _every(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:
+def _all_pairs(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | None) -> PairRows:
     n, m = len(own[0]), len(other)
     i, j = np.repeat(np.arange(n), m), np.tile(np.arange(m), n)
     if ids is not None:
@@ -184,7 +188,7 @@ def _every(other: Population, own: tuple[Floats, ...], ids: NDArray[np.int64] | 
 # --- reductions ------------------------------------------------------------------------------------------------------
 
 
-def _held(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | None]:
+def _select_rows(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | None]:
     """Return the requesting rows of the pairs that count, and the indices of these pairs (None: all)."""
     if np.ndim(condition) == 0:
         return (pairs.i, None) if condition else (pairs.i[:0], np.empty(0, np.intp))
@@ -192,23 +196,23 @@ def _held(pairs: PairRows, condition: Any) -> tuple[Index, NDArray[np.intp] | No
     return (pairs.i, None) if len(keep) == len(pairs.i) else (pairs.i.take(keep), keep)
 
 
-def _body(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> Floats:
+def _body_values(pairs: PairRows, body: Any, keep: NDArray[np.intp] | None) -> Floats:
     values: Floats = np.full(len(pairs.i), body) if np.ndim(body) == 0 else body
     return values if keep is None else values.take(keep)
 
 
 def _sum(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
-    i, keep = _held(pairs, condition)
-    return exact_sums.sums(i, _body(pairs, body, keep), int(node.attrs[0]), pairs.count)
+    i, keep = _select_rows(pairs, condition)
+    return exact_sums.sum_by_index(i, _body_values(pairs, body, keep), int(node.attrs[0]), pairs.count)
 
 
 def _count(pairs: PairRows, node: ir.Node, condition: Any) -> Any:
-    return np.bincount(_held(pairs, condition)[0], minlength=pairs.count).astype(np.float32)
+    return np.bincount(_select_rows(pairs, condition)[0], minlength=pairs.count).astype(np.float32)
 
 
 def _any(pairs: PairRows, node: ir.Node, condition: Any) -> Any:
     has_any = np.zeros(pairs.count, np.bool_)
-    has_any[_held(pairs, condition)[0]] = True
+    has_any[_select_rows(pairs, condition)[0]] = True
     return has_any
 
 
@@ -216,7 +220,7 @@ def _starts(i: Index) -> NDArray[np.intp]:
     return np.flatnonzero(np.concatenate(([True], i[1:] != i[:-1])))
 
 
-def _least(i: Index, body: Floats, count: int) -> Floats:
+def _row_minimum(i: Index, body: Floats, count: int) -> Floats:
     """The least body of each row, NaN left out; inf for none."""
     result = np.full(count, np.inf, np.float32)
     if len(i):
@@ -226,24 +230,24 @@ def _least(i: Index, body: Floats, count: int) -> Floats:
 
 
 def _min(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
-    i, keep = _held(pairs, condition)
-    return _least(i, _body(pairs, body, keep), pairs.count)
+    i, keep = _select_rows(pairs, condition)
+    return _row_minimum(i, _body_values(pairs, body, keep), pairs.count)
 
 
 def _max(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
-    i, keep = _held(pairs, condition)
-    return -_least(i, -_body(pairs, body, keep), pairs.count) + np.float32(0)
+    i, keep = _select_rows(pairs, condition)
+    return -_row_minimum(i, -_body_values(pairs, body, keep), pairs.count) + np.float32(0)
 
 
 def _first(pairs: PairRows, condition: Any, body: Any, label: NDArray[Any], none: Any) -> Any:
     """Label of the pair with the least body, the lesser label at a tie."""
     result = np.full(pairs.count, none)
-    i, keep = _held(pairs, condition)
+    i, keep = _select_rows(pairs, condition)
     if not len(i):
         return result
-    body = _body(pairs, body, keep)
+    body = _body_values(pairs, body, keep)
     label = label if keep is None else label.take(keep)
-    best = np.flatnonzero(body == _least(i, body, pairs.count).take(i))
+    best = np.flatnonzero(body == _row_minimum(i, body, pairs.count).take(i))
     if len(best):
         i, label = i.take(best), label.take(best)
         starts = _starts(i)
@@ -263,8 +267,8 @@ def _item(pairs: PairRows, node: ir.Node, condition: Any, body: Any) -> Any:
 def _nth(pairs: PairRows, condition: Any, body: Any, number: Any, label: NDArray[Any], none: Any) -> Any:
     """Label of the pair with the n-th least body, the lesser label before the greater at a tie."""
     result = np.full(pairs.count, none)
-    i, keep = _held(pairs, condition)
-    body, number = _body(pairs, body, keep), np.floor(_body(pairs, number, keep))
+    i, keep = _select_rows(pairs, condition)
+    body, number = _body_values(pairs, body, keep), np.floor(_body_values(pairs, number, keep))
     label = label if keep is None else label.take(keep)
     order = np.lexsort((label, body, i))
     order = order[body[order] == body[order]]

@@ -12,10 +12,10 @@ from time import perf_counter, process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.numerics.float_environment import is_standard, standard
-from antdsl.numerics.sorting import interleaved, stable_order
+from antdsl.numerics.float_environment import is_standard, standard_floats
+from antdsl.numerics.sorting import morton_codes, stable_order
 from antdsl.plan.ir import Kind
-from antdsl.program.tables.effects import settled_in
+from antdsl.program.tables.effects import effects_of_phase
 from antdsl.runtime import claims, digging, faults, lifecycle
 from antdsl.runtime.faults import FaultStop
 from antdsl.runtime.feet import walking
@@ -40,7 +40,7 @@ def sense(world: World) -> None:
         flow.begin(world)
     for population in world.populations.values():
         lifecycle.find_cells(world, population)
-        tilting.lay(population, world.options.threads)
+        tilting.lay_headings(population, world.options.threads)
         population.clear_temps(world.options.threads)
     if world.detail is not None:
         world.detail.observe(world)
@@ -49,7 +49,7 @@ def sense(world: World) -> None:
 
 def decide(world: World) -> None:
     """Run handlers, latches and transitions: what each agent intends to do."""
-    _run(world, "decide")
+    _run_block(world, "decide")
 
 
 def claim(world: World) -> None:
@@ -59,7 +59,7 @@ def claim(world: World) -> None:
 
 def act(world: World) -> None:
     """Run the actions of transitions, and the body of the new state. Changes are counted before the dead are removed."""
-    _run(world, "act")
+    _run_block(world, "act")
     for population in world.populations.values():
         _count_transitions(world, population)
     for watch in world.watchers:
@@ -68,13 +68,13 @@ def act(world: World) -> None:
 
 def blend(world: World) -> None:
     """Layers: the wishes become one push."""
-    _run(world, "blend")
+    _run_block(world, "blend")
     faults.gather(world)
 
 
-def _run(world: World, block: str) -> None:
+def _run_block(world: World, block: str) -> None:
     for population in world.populations.values():
-        rows = walks.awake(world, population)
+        rows = walks.deciding_rows(world, population)
         if len(population) if rows is None else len(rows):
             world.backend.run(world, population, block, rows)
 
@@ -82,14 +82,14 @@ def _run(world: World, block: str) -> None:
 def effects(world: World) -> None:
     """Apply gifts, and what is settled before anything spreads or moves: events for the next step, deposits. Their order does not
     matter: none reads what another writes."""
-    _settle("effects", world)
-    claims.give(world)
+    _settle_requests("effects", world)
+    claims.settle_gifts(world)
 
 
-def _settle(phase: str, world: World) -> None:
+def _settle_requests(phase: str, world: World) -> None:
     """Settle the requests of a phase, by the rows; a function that settles several is called once."""
     if any([population.effects.requests for population in world.populations.values()]):
-        for settle in dict.fromkeys(SETTLES[op] for op in settled_in(phase)):
+        for settle in dict.fromkeys(SETTLES[op] for op in effects_of_phase(phase)):
             settle(world)
 
 
@@ -104,15 +104,15 @@ def move(world: World) -> None:
     """Move all agents along the surfaces, substep by substep; then separate overlapping bodies."""
     with np.errstate(all="ignore"):
         for population in world.populations.values():
-            tilting.stand_up(population)
+            tilting.restore_bodies(population)
             if PUSHED in population.now:
                 population.now[PUSHED].fill(0)
         for substep in range(world.setting.substeps):
             stances = contacts.record_stances(world)
             for population in world.populations.values():
-                advance.move(world, population, substep)
+                advance.move_agents(world, population, substep)
             if stances is not None:
-                contacts.resolve(world, stances, world.dt / world.setting.substeps)
+                contacts.resolve_contacts(world, stances, world.dt / world.setting.substeps)
 
 
 def measure(world: World) -> None:
@@ -121,9 +121,9 @@ def measure(world: World) -> None:
         world.motion.observe(world)
 
 
-def bear(world: World) -> None:
+def apply_births(world: World) -> None:
     """Remove dead agents from the populations and add newborn ones."""
-    _settle("births", world)
+    _settle_requests("births", world)
     lifecycle.settle_newborn(world)
     faults.gather(world)  # of births, while their rows and the frame are still these
 
@@ -138,15 +138,15 @@ def commit(world: World) -> None:
             population.raised[name].fill(False)
         sorts = by_place and len(population) >= _SORT_FROM
         threads = world.options.threads
-        publish_state(population, threads, _by_place(population, threads) if sorts else None)
+        publish_state(population, threads, _order_by_position(population, threads) if sorts else None)
 
 
-def _by_place(population: Population, threads: int) -> NDArray[np.intp]:
+def _order_by_position(population: Population, threads: int) -> NDArray[np.intp]:
     """Return rows in order of position, along the curve of G. Morton (1966): neighbours in space are then neighbours in memory.
     No result depends on it."""
     low, high = population.position.min(axis=0), population.position.max(axis=0)
     width = max(float((high - low).max()), 1e-9) / 1023
-    return stable_order(interleaved(((population.position - low) / width).astype(np.uint64), threads))
+    return stable_order(morton_codes(((population.position - low) / width).astype(np.uint64), threads))
 
 
 def _count_transitions(world: World, population: Population) -> None:
@@ -169,8 +169,8 @@ SETTLES: dict[str, Callable[[World], None]] = {
     "deposit": lifecycle.deposit,
     "carve": digging.dig,
     "emit": lifecycle.raise_events,
-    "spawn": lifecycle.deaths_and_births,
-    "die": lifecycle.deaths_and_births,
+    "spawn": lifecycle.apply_deaths_and_births,
+    "die": lifecycle.apply_deaths_and_births,
 }
 
 PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
@@ -181,12 +181,12 @@ PHASES: tuple[tuple[str, Callable[[World], None]], ...] = (
     ("blend", blend),  # after acting: the new state steers at once
     ("effects", effects),  # after every read of this step
     ("fields", fields),  # what is there spreads and fades, then deposits land: what is laid at t is whole at t+1
-    ("solids", partial(_settle, "solids")),  # before moving: who digs goes on into what it dug
+    ("solids", partial(_settle_requests, "solids")),  # before moving: who digs goes on into what it dug
     ("move", move),
     ("motion", measure),  # before the ground goes on: what it carries along is no step of theirs
     ("strides", walking.measure),  # with it: feet step over the ground, and stand on it as it goes on
-    ("carry", moving_geometry.carry),  # after walking: who has walked stands on ground that goes on from here
-    ("births", bear),  # after moving: a child starts where its parent is now
+    ("carry", moving_geometry.move_world),  # after walking: who has walked stands on ground that goes on from here
+    ("births", apply_births),  # after moving: a child starts where its parent is now
     ("feet", walking.walk),  # once all are there who are seen in the frame, and all that feet stand on is where it is
     ("commit", commit),
 )
@@ -202,7 +202,7 @@ def step(world: World) -> None:
     if is_standard():
         _step(world)
         return
-    with standard():
+    with standard_floats():
         _step(world)
 
 

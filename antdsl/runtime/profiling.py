@@ -12,7 +12,7 @@ from time import monotonic
 from antdsl.plan.ir import LayerPlan, Plan
 from antdsl.runtime.backends import NumpyBackend
 from antdsl.runtime.backends.compile import Instruction
-from antdsl.runtime.backends.metering import Metered
+from antdsl.runtime.backends.metering import MeteredBlock
 from antdsl.runtime.world import World
 from antdsl.source import Span
 
@@ -57,7 +57,7 @@ class Profile:
 
 
 @dataclass(slots=True)
-class _Measured:
+class _Measurement:
     """Seconds of `steps` steps: by phase, and for each call of each block."""
 
     steps: int
@@ -66,7 +66,7 @@ class _Measured:
     worked: dict[str, float]
     calls: dict[Key, list[float]]
 
-    def add(self, other: _Measured) -> None:
+    def add(self, other: _Measurement) -> None:
         self.steps += other.steps
         self.at = other.at
         for mine, theirs in ((self.phases, other.phases), (self.worked, other.worked)):
@@ -85,7 +85,7 @@ class Meter:
 
     def __init__(self, seconds: float | None = 1.0, *, clock: Callable[[], float] = monotonic) -> None:
         self._seconds, self._clock = seconds, clock
-        self._measured: deque[_Measured] = deque()
+        self._measured: deque[_Measurement] = deque()
         self._plan: Plan | None = None
         self._instructions: dict[Key, list[Instruction]] = {}
         self._world: World | None = None
@@ -104,10 +104,10 @@ class Meter:
             self._plan = world.plan
             self._measured.clear()
             self._ran.clear()
-            self._instructions = {key: metered.instructions for key, metered in _metered(world).items()}
+            self._instructions = {key: metered.instructions for key, metered in _metered_calls(world).items()}
         self._before = dict(world.timings), dict(world.worked)
-        for metered in _metered(world).values():
-            metered.forget()
+        for metered in _metered_calls(world).values():
+            metered.reset()
 
     def end(self, world: World) -> None:
         """Take in the step that was made."""
@@ -117,8 +117,8 @@ class Meter:
             {name: seconds - previous_times.get(name, 0.0) for name, seconds in current_times.items()}
             for previous_times, current_times in zip(self._before, (world.timings, world.worked), strict=True)
         )
-        calls = {key: metered.seconds for key, metered in _metered(world).items()}
-        now = _Measured(1, self._clock(), phases, worked, calls)
+        calls = {key: metered.seconds for key, metered in _metered_calls(world).items()}
+        now = _Measurement(1, self._clock(), phases, worked, calls)
         if isinstance(world.backend, NumpyBackend):
             by = world.backend.by
             if by != self._by:
@@ -141,21 +141,21 @@ class Meter:
         """Return what was measured; empty before the first step."""
         if not self._measured or self._plan is None:
             return Profile()
-        total = _Measured(0, 0.0, {}, {}, {})
+        total = _Measurement(0, 0.0, {}, {}, {})
         for each in self._measured:
             total.add(each)
         to_ms = 1000 / total.steps
         phases = {name: seconds * to_ms for name, seconds in total.phases.items()}
         worked = {name: seconds * to_ms for name, seconds in total.worked.items()}
-        lines = sorted(_lines(self._spent(total), to_ms), key=lambda each: (-each.ms, each.file, each.line))
-        layers = self._layers(self._plan, total, to_ms)
+        lines = sorted(_line_times(self._block_times(total), to_ms), key=lambda each: (-each.ms, each.file, each.line))
+        layers = self._layer_times(self._plan, total, to_ms)
         return Profile(total.steps, sum(phases.values()), phases, worked, layers, tuple(lines), dict(self._ran))
 
-    def _spent(self, total: _Measured) -> Iterator[tuple[Instruction, float]]:
+    def _block_times(self, total: _Measurement) -> Iterator[tuple[Instruction, float]]:
         for key, times in total.calls.items():
             yield from zip(self._instructions[key], times, strict=True)
 
-    def _layers(self, plan: Plan, total: _Measured, to_ms: float) -> tuple[LayerTime, ...]:
+    def _layer_times(self, plan: Plan, total: _Measurement, to_ms: float) -> tuple[LayerTime, ...]:
         """Return all layers in order, also those that no agent reached."""
         layer_times: list[LayerTime] = []
         for name, species in plan.species.items():
@@ -164,19 +164,21 @@ class Meter:
             for instruction, seconds in zip(self._instructions.get((name, "blend"), []), times, strict=True):
                 if instruction.layer >= 0:
                     spent[instruction.layer] += seconds
-            layer_times += [_layer(name, layer, seconds * to_ms) for layer, seconds in zip(species.layers, spent, strict=True)]
+            layer_times += [
+                _layer_time(name, layer, seconds * to_ms) for layer, seconds in zip(species.layers, spent, strict=True)
+            ]
         return tuple(layer_times)
 
 
-def _metered(world: World) -> dict[Key, Metered]:
+def _metered_calls(world: World) -> dict[Key, MeteredBlock]:
     return world.backend.metered if isinstance(world.backend, NumpyBackend) else {}
 
 
-def _layer(species: str, layer: LayerPlan, ms: float) -> LayerTime:
+def _layer_time(species: str, layer: LayerPlan, ms: float) -> LayerTime:
     return LayerTime(species, layer.span, ms)
 
 
-def _lines(spent: Iterator[tuple[Instruction, float]], to_ms: float) -> list[LineTime]:
+def _line_times(spent: Iterator[tuple[Instruction, float]], to_ms: float) -> list[LineTime]:
     """Return the calls by the line in which their text begins. Files are compared by name, because parts of a file are read more
     than once."""
     seconds_by_line: dict[tuple[str, int], float] = {}

@@ -77,11 +77,11 @@ class Effects:
     def ask(self, entry: RequestEntry) -> None:
         self.requests.setdefault(entry.request.op, []).append(entry)
 
-    def drained(self, op: str) -> list[RequestEntry]:
+    def drain(self, op: str) -> list[RequestEntry]:
         """The requests of one op, which are removed."""
         return self.requests.pop(op, [])
 
-    def take(self, other: Effects) -> None:
+    def extend(self, other: Effects) -> None:
         """Put another's entries after one's own."""
         self.claims += other.claims
         self.gives += other.gives

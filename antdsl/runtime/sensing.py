@@ -20,9 +20,9 @@ from antdsl.numerics import elementary, noise, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.plan import ir
 from antdsl.runtime.clip_values import clip_value
-from antdsl.runtime.collisions import contact
+from antdsl.runtime.collisions import new_contacts
 from antdsl.runtime.moving import moving_geometry
-from antdsl.runtime.moving.obstacle_clearance import clearance, may_touch
+from antdsl.runtime.moving.obstacle_clearance import cached_clearance, may_touch
 from antdsl.runtime.neighbourhood import clear_velocity, widest_gap
 from antdsl.runtime.world import AXES, Population, World
 
@@ -66,16 +66,16 @@ def uniform_leaf(world: World, node: ir.Node) -> Value:
     raise AssertionError(f"{node.op} is not a value of the run")
 
 
-def _size(rows: Rows) -> int:
+def _row_count(rows: Rows) -> int:
     return rows.stop - rows.start if isinstance(rows, slice) else len(rows)
 
 
-def _spread(value: Value, rows: Rows) -> NDArray[Any]:
+def _spread_rows(value: Value, rows: Rows) -> NDArray[Any]:
     """One value for each row."""
-    return np.full(_size(rows), value) if np.ndim(value) == 0 else value
+    return np.full(_row_count(rows), value) if np.ndim(value) == 0 else value
 
 
-def _place(world: World, population: Population, rows: Rows) -> tuple[NDArray[np.float32], ...]:
+def _read_positions(world: World, population: Population, rows: Rows) -> tuple[NDArray[np.float32], ...]:
     return tuple(population.start[f"position.{axis}"][rows] for axis in AXES)
 
 
@@ -105,7 +105,7 @@ def _draw_agent(world: World, population: Population, node: ir.Node, rows: Rows)
 
 def _event(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
     flags = population.events.get(node.attrs[0])
-    return np.zeros(_size(rows), np.bool_) if flags is None else flags[rows]
+    return np.zeros(_row_count(rows), np.bool_) if flags is None else flags[rows]
 
 
 def _surface_touching(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
@@ -115,7 +115,7 @@ def _surface_touching(world: World, population: Population, node: ir.Node, rows:
 def _agent_get(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:
     species, register = node.attrs
     other = world.populations[species]
-    at = other.rows_of(_spread(ids, rows))
+    at = other.rows_of(_spread_rows(ids, rows))
     source = other.start[register]
     is_alive = at >= 0
     return (
@@ -127,20 +127,20 @@ def _agent_get(world: World, population: Population, node: ir.Node, rows: Rows, 
 
 def _agent_age(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:
     other = world.populations[node.attrs[0]]
-    at = other.rows_of(_spread(ids, rows))
+    at = other.rows_of(_spread_rows(ids, rows))
     if not len(other):
         return np.zeros(len(at), np.float32)
     return np.where(at >= 0, _age_of(world, other.born[np.where(at >= 0, at, 0)]), np.float32(0))
 
 
 def _agent_alive(world: World, population: Population, node: ir.Node, rows: Rows, ids: Value) -> Value:
-    return world.populations[node.attrs[0]].rows_of(_spread(ids, rows)) >= 0
+    return world.populations[node.attrs[0]].rows_of(_spread_rows(ids, rows)) >= 0
 
 
 def _item_get(world: World, population: Population, node: ir.Node, rows: Rows, item: Value) -> Value:
     items, attribute = node.attrs
     source = world.items[items].visible_values[attribute]
-    item = _spread(item, rows)
+    item = _spread_rows(item, rows)
     has_item = (item >= 0) & (item < len(source))
     return (
         np.where(has_item, source[np.where(has_item, item, 0)], np.float32(0)) if len(source) else np.zeros(len(item), np.float32)
@@ -148,13 +148,13 @@ def _item_get(world: World, population: Population, node: ir.Node, rows: Rows, i
 
 
 def _item_alive(world: World, population: Population, node: ir.Node, rows: Rows, item: Value) -> Value:
-    item = _spread(item, rows)
+    item = _spread_rows(item, rows)
     return (item >= 0) & (item < len(world.items[node.attrs[0]]))
 
 
 def _ray(world: World, population: Population, node: ir.Node, rows: Rows, dx: Value, dy: Value, dz: Value, reach: Value) -> Value:
-    n = _size(rows)
-    rays = tuple(np.ascontiguousarray(_spread(v, rows), np.float32) for v in (dx, dy, dz, reach))
+    n = _row_count(rows)
+    rays = tuple(np.ascontiguousarray(_spread_rows(v, rows), np.float32) for v in (dx, dy, dz, reach))
     hits = tuple(np.full(n, value) for value in NO_HIT)
     _rays(world, population, node, rows, [(np.ones(n, np.bool_), rays, hits)])
     return hits
@@ -165,7 +165,7 @@ def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks:
     initially `NO_HIT`: whether they hit, the distance (mm) and the normal (x y z)."""
     name, start = node.attrs[0], population.start
     place = start["position.x"][rows], start["position.y"][rows], start["position.z"][rows]
-    clear = clearance(world, population, name)
+    clear = cached_clearance(world, population, name)
     levels = None if world.detail is None else world.detail.find_levels(world, population, name)
     which = [(world.obstacles[name], clear[rows])]
     if levels is not None and world.detail is not None:
@@ -175,10 +175,10 @@ def _rays(world: World, population: Population, node: ir.Node, rows: Rows, asks:
     for scene, near in which:
         left = scene.feel_batch((*place, near), asks, world.options.threads)
         if left:
-            _feel(scene, (*place, near), left, asks, world.options.threads)
+            _feel_scene(scene, (*place, near), left, asks, world.options.threads)
 
 
-def _feel(
+def _feel_scene(
     scene: Obstacle, columns: Arrays, left: Sequence[tuple[int, NDArray[np.intp]]], asks: Sequence[Ask], threads: int
 ) -> None:
     """Do the same for the remaining feelers with a scene, all rays at once. `left` and `columns`: as `Obstacle.felt` returns and
@@ -196,7 +196,7 @@ def _feel(
         row, ask_numbers, size, far = (v.take(sound) for v in (row, ask_numbers, size, far))
         x, y, z = (v.take(row) for v in place)
         wx, wy, wz = (v.take(sound) / size for v in (wx, wy, wz))
-        hits = scene.feelers(x, y, z, wx, wy, wz, far, threads=threads)
+        hits = scene.cast_feelers(x, y, z, wx, wy, wz, far, threads=threads)
     for each, _ in left:
         own = (ask_numbers == each).nonzero()[0]
         for into, values in zip(asks[each][2], (hits.hit, hits.t, hits.nx, hits.ny, hits.nz), strict=True):
@@ -204,9 +204,9 @@ def _feel(
 
 
 def _obstacle_near(world: World, population: Population, node: ir.Node, rows: Rows, reach: Value) -> Value:
-    reach = _spread(reach, rows)
-    x, y, z = _place(world, population, rows)
-    hits = world.obstacles[node.attrs[0]].near(x, y, z, reach, threads=world.options.threads)
+    reach = _spread_rows(reach, rows)
+    x, y, z = _read_positions(world, population, rows)
+    hits = world.obstacles[node.attrs[0]].nearest_within(x, y, z, reach, threads=world.options.threads)
     return hits.hit, hits.t, hits.nx, hits.ny, hits.nz
 
 
@@ -218,8 +218,8 @@ def _field_ahead(world: World, population: Population, node: ir.Node, rows: Rows
     """Read a field ahead. `turn` is to the left of the heading, which lies along the ground below the feet; `up` is its normal
     there."""
     up = vec.columns(population.normal[rows], np.float32)
-    heading = vec.take(vec.named(population.start, "heading"), rows)
-    ahead, turn = (_spread(each, rows) for each in (ahead, turn))
+    heading = vec.take(vec.vector_registers(population.start, "heading"), rows)
+    ahead, turn = (_spread_rows(each, rows) for each in (ahead, turn))
     with np.errstate(all="ignore"):
         sound = np.isfinite(ahead) & np.isfinite(turn)
         ahead, turn = np.where(sound, ahead, np.float32(0)), np.where(sound, turn, np.float32(0))
@@ -236,13 +236,13 @@ def _field_ahead(world: World, population: Population, node: ir.Node, rows: Rows
             straight=True,
         )
     field = world.fields[node.attrs[0]]
-    footing, position = _within(world, moved)
-    place = moving_geometry.at_rest(world, footing, position)
+    footing, position = _pull_inside(world, moved)
+    place = moving_geometry.rest_positions(world, footing, position)
     cells = field.cells.lookup_sides(place, world.ground.sides(footing))
     return field.sample(np.where(moved.lost, -1, cells))
 
 
-def _within(world: World, moved: Move) -> tuple[Footing, NDArray[np.float64]]:
+def _pull_inside(world: World, moved: Move) -> tuple[Footing, NDArray[np.float64]]:
     """Return where paths end, moved slightly inside the face if they end at an open border.
 
     A border may lie between two cells. Exactly on it, one side of a strip would read its own cells and the other the cells
@@ -252,7 +252,7 @@ def _within(world: World, moved: Move) -> tuple[Footing, NDArray[np.float64]]:
         return moved.footing, moved.position
     rows = np.flatnonzero(moved.blocked & meshes.on_faces(moved.footing)[1])
     footing, position = moved.footing.copy(), moved.position.copy()
-    inner = footing.faces(rows)
+    inner = footing.take_on_meshes(rows)
     for weight in (inner.b1, inner.b2):
         weight += (1 / 3 - weight) * _HAIR
     footing.put(rows, inner)
@@ -264,28 +264,28 @@ def _field_strongest(world: World, population: Population, node: ir.Node, rows: 
     field, count = node.attrs
     value, x, y, z = world.fields[field].strongest(population.cells[field][rows], int(count))
     nothing = ~(value > 0)
-    positions = moving_geometry.from_rest(world, population, rows, (x, y, z))
-    return value, *(np.where(nothing, own, k) for own, k in zip(_place(world, population, rows), positions, strict=True))
+    positions = moving_geometry.move_from_rest(world, population, rows, (x, y, z))
+    return value, *(np.where(nothing, own, k) for own, k in zip(_read_positions(world, population, rows), positions, strict=True))
 
 
 def _field_gradient(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
     slope = world.fields[node.attrs[0]].gradient(population.cells[node.attrs[0]][rows])
-    return moving_geometry.turned_from_rest(world, population, rows, slope)
+    return moving_geometry.rotate_from_rest(world, population, rows, slope)
 
 
 def _curve_closest(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
-    nearest = world.curves[node.attrs[0]].closest(*_place(world, population, rows))
+    nearest = world.curves[node.attrs[0]].closest(*_read_positions(world, population, rows))
     return nearest.distance, nearest.px, nearest.py, nearest.pz, nearest.tx, nearest.ty, nearest.tz
 
 
 def _flow_value(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
-    place = np.stack(_place(world, population, rows), axis=1).astype(np.float64)
+    place = np.stack(_read_positions(world, population, rows), axis=1).astype(np.float64)
     up = population.normal[rows].astype(np.float64)
     return world.flows[node.attrs[0]].at(world.ground.meshes, population.footing.take(rows), place, up)
 
 
 def _flow_reachable(world: World, population: Population, node: ir.Node, rows: Rows) -> Value:
-    place = np.stack(_place(world, population, rows), axis=1).astype(np.float64)
+    place = np.stack(_read_positions(world, population, rows), axis=1).astype(np.float64)
     up = population.normal[rows].astype(np.float64)
     return world.flows[node.attrs[0]].reaches(world.ground.meshes, population.footing.take(rows), place, up)
 
@@ -298,30 +298,30 @@ def _map_value(world: World, population: Population, node: ir.Node, rows: Rows) 
 
 def _noise(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
     """Return noise. `how`: scale, seed and period. The position is in the scene's own axes, the time is that of the step."""
-    scale, seed, period = (np.float64(1) * _spread(each, rows) for each in how)
-    place = np.stack(_place(world, population, rows)).astype(np.float64) + world.origin[:, None]
-    step_time = np.full((1, _size(rows)), world.display_frame * world.dt)
+    scale, seed, period = (np.float64(1) * _spread_rows(each, rows) for each in how)
+    place = np.stack(_read_positions(world, population, rows)).astype(np.float64) + world.origin[:, None]
+    step_time = np.full((1, _row_count(rows)), world.display_frame * world.dt)
     unit = np.stack((scale, scale, scale, period))
     cells = np.concatenate((place, step_time)) / np.where(unit > 0, unit, np.nan)
     which = np.floor(np.where(np.abs(seed) < noise.FAR, seed, 0.0)).astype(np.int64)
     return noise.noise(cells, which).astype(np.float32)
 
 
-def _numbered(rows: Rows) -> NDArray[np.intp]:
+def _row_numbers(rows: Rows) -> NDArray[np.intp]:
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else np.asarray(rows)
 
 
 def _clear_velocity(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
     """Return a collision-free velocity. `how`: the wish x y z, `within`, `horizon` and the largest number of others."""
-    which = _numbered(rows)
-    wx, wy, wz, *rest = (_spread(each, rows) for each in how)
+    which = _row_numbers(rows)
+    wx, wy, wz, *rest = (_spread_rows(each, rows) for each in how)
     within, horizon, most = (np.float64(1) * each for each in rest)
     return clear_velocity(world, population, which, (wx, wy, wz), within, horizon, most)
 
 
 def _widest_gap(world: World, population: Population, node: ir.Node, rows: Rows, within: Value, most: Value) -> Value:
-    within, most = (np.float64(1) * _spread(each, rows) for each in (within, most))
-    return widest_gap(world, population, _numbered(rows), within, most)
+    within, most = (np.float64(1) * _spread_rows(each, rows) for each in (within, most))
+    return widest_gap(world, population, _row_numbers(rows), within, most)
 
 
 def _clip_value(world: World, population: Population, node: ir.Node, rows: Rows, clip: Value) -> Value:
@@ -330,8 +330,8 @@ def _clip_value(world: World, population: Population, node: ir.Node, rows: Rows,
 
 def _contact(world: World, population: Population, node: ir.Node, rows: Rows, *touched: Value) -> Value:
     """Return the new contact and the touched ids. `touched`: ids of the agents touched until now."""
-    known = np.stack([np.asarray(_spread(each, rows), np.int64) for each in touched], axis=1)
-    contact_ids, known = contact(world, population, node.attrs[0], _numbered(rows), known)
+    known = np.stack([np.asarray(_spread_rows(each, rows), np.int64) for each in touched], axis=1)
+    contact_ids, known = new_contacts(world, population, node.attrs[0], _row_numbers(rows), known)
     return contact_ids, *(np.ascontiguousarray(ids) for ids in known.T)
 
 

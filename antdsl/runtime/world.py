@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing, Ground
-from antdsl.machine_code.memory import roomy_rows, roomy_space
-from antdsl.numerics.row_copies import RowCopies, pick
+from antdsl.machine_code.memory import padded_empty, padded_rows
+from antdsl.numerics.row_copies import RowCopies, copy_rows
 from antdsl.numerics.row_hash import RowHash
 from antdsl.numerics.sorting import stable_order
 from antdsl.plan import ir
@@ -24,14 +24,14 @@ from antdsl.scene.setting import Setting
 if TYPE_CHECKING:
     from antdsl.casting.curves import Curve
     from antdsl.casting.obstacle import Obstacle
-    from antdsl.fields.cells import Known
+    from antdsl.fields.cells import KnownCells
     from antdsl.fields.flow import Flow, Map
     from antdsl.fields.pheromone import PheromoneField
     from antdsl.ground.solid import Volume
     from antdsl.runtime.faults import FaultLog
-    from antdsl.runtime.feet.seeking import Floor
+    from antdsl.runtime.feet.seeking import FootGround
     from antdsl.runtime.feet.state import Feet
-    from antdsl.runtime.feet.walking import Walkers
+    from antdsl.runtime.feet.walking import LegsOfSpecies
     from antdsl.runtime.lod import Detail
     from antdsl.runtime.motion_measures import Motion
     from antdsl.senses.neighbours import CellGrid
@@ -97,7 +97,8 @@ class Population:
     events: dict[str, NDArray[np.bool_]]
     raised: dict[str, NDArray[np.bool_]]  # to be seen in the next step
     cells: dict[str, NDArray[np.int32]] = field(default_factory=dict)  # field -> own cell
-    voxels: dict[str, Known | None] = field(default_factory=dict)  # field -> the lookup data of its cells, independent of rows
+    # field -> the lookup data of its cells, independent of rows
+    voxels: dict[str, KnownCells | None] = field(default_factory=dict)
     effects: Effects = field(default_factory=Effects)
     all_taken: dict[str, NDArray[np.float64]] = field(default_factory=dict)  # by site: what claims for all gave in this step
     version: int = 0  # changes whenever rows do
@@ -163,7 +164,7 @@ class Population:
         """Rows sorted by id."""
         return self.sorted_ids()[1]
 
-    def ranks(self) -> NDArray[np.int32]:
+    def id_ranks(self) -> NDArray[np.int32]:
         """The place of each row in the order of ids."""
         if self._ranks is None or self._ranks[0] != self.version:
             found = np.empty(len(self), np.int32)
@@ -185,7 +186,7 @@ class Population:
 
 
 @dataclass(frozen=True, slots=True)
-class Crowded:
+class OvercrowdedLine:
     """A line of the scene's crowd (by its number) with a place that has no space for all: `fit` of `count` are clear of all
     others. `radius`: the least and the greatest (mm). `cover`: the area that all would cover; `area`: the available one (mm²;
     None: not known). `larger`: for a place with a radius, the radius (mm) with space for all, None if there is none. `sides`:
@@ -216,7 +217,7 @@ class Backend(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Emitted:
+class EmittedEvents:
     """Agents that emitted an event: species (by name) and id, the event's name among all that are handled, position (k, 3) mm and
     ground normal there."""
 
@@ -263,14 +264,14 @@ class World:
     touching: dict[tuple[str, str], Touching] | None = None  # of this step, by both species; None: not computed yet
     transitions: dict[str, int] = field(default_factory=dict)
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last retrieval; None: not recorded
-    emitted: list[Emitted] | None = None  # since the last retrieval; None: not recorded
+    emitted: list[EmittedEvents] | None = None  # since the last retrieval; None: not recorded
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
     detail: Detail | None = None
-    crowded: list[Crowded] = field(default_factory=list)  # lines of the crowd that found no room for all
+    crowded: list[OvercrowdedLine] = field(default_factory=list)  # lines of the crowd that found no room for all
     watchers: list[Callable[[World], None]] = field(default_factory=list)  # called in each step once all have acted
     feet: dict[str, Feet] = field(default_factory=dict)  # by species; only those with computed feet
-    walkers: dict[str, Walkers] = field(default_factory=dict)  # how they walk
-    floor: Floor | None = None  # what they walk on
+    walkers: dict[str, LegsOfSpecies] = field(default_factory=dict)  # how they walk
+    floor: FootGround | None = None  # what they walk on
     stepping: bool = False  # between the first and the last phase of a step
 
     @property
@@ -331,8 +332,8 @@ def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
     """Keep these rows, in this order."""
-    _pick(population, rows)
-    _remake(population, lambda array, _: roomy_rows(array, rows))
+    _pick_columns(population, rows)
+    _remake_registers(population, lambda array, _: padded_rows(array, rows))
 
 
 def publish_state(population: Population, threads: int, rows: NDArray[np.intp] | None = None) -> None:
@@ -340,12 +341,12 @@ def publish_state(population: Population, threads: int, rows: NDArray[np.intp] |
     arrays, unless one array serves as both `start` and `now`."""
     start, now = population.start, population.now
     if rows is not None:
-        _pick(population, rows)
+        _pick_columns(population, rows)
         picked = [
-            (start[name] if start[name] is not array else roomy_space(len(rows), array.dtype), array)
+            (start[name] if start[name] is not array else padded_empty(len(rows), array.dtype), array)
             for name, array in now.items()
         ]
-        pick(picked, rows, threads)
+        copy_rows(picked, rows, threads)
         for name, (to, array) in zip(now, picked, strict=True):
             if start[name] is array:
                 start[name] = now[name] = to
@@ -354,11 +355,11 @@ def publish_state(population: Population, threads: int, rows: NDArray[np.intp] |
     population.copies.copy(*(every if rows is None else every[::-1]), threads)
 
 
-def _pick(population: Population, rows: NDArray[np.intp]) -> None:
+def _pick_columns(population: Population, rows: NDArray[np.intp]) -> None:
     """Reorder everything but the registers to these rows."""
     population.reordered = (population.ids, rows)
     population.ids, population.born = population.ids.take(rows), population.born.take(rows)
-    population.quarantined, population.position = population.quarantined.take(rows), _picked(population.position, rows)
+    population.quarantined, population.position = population.quarantined.take(rows), _pick_vectors(population.position, rows)
     population.normal, population.footing = population.normal.take(rows, axis=0), population.footing.take(rows)
     population.cells.clear()
     for table in (population.events, population.raised):
@@ -366,7 +367,7 @@ def _pick(population: Population, rows: NDArray[np.intp]) -> None:
             table[name] = array.take(rows)
 
 
-def _picked(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
+def _pick_vectors(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]:
     """Rows of vectors (n, 3), each component contiguous."""
     picked = np.empty((3, len(rows)), vectors.dtype)
     for component, own in zip(picked, vectors.T, strict=True):
@@ -384,17 +385,17 @@ def add_rows(
     population.quarantined = np.concatenate([population.quarantined, np.zeros(count, np.bool_)])
     population.position = np.concatenate([population.position, position])
     population.normal = np.concatenate([population.normal, np.zeros((count, 3), np.float32)])
-    population.footing = Footing.joined(population.footing, footing)
+    population.footing = Footing.concatenate(population.footing, footing)
     for table in (population.events, population.raised):
         for name, array in table.items():
             table[name] = np.concatenate([array, np.zeros(count, np.bool_)])
     population.cells.clear()
     zeros = population.plan.registers
-    _remake(population, lambda array, name: np.concatenate([array, np.full(count, zeros[name].zero, array.dtype)]))
+    _remake_registers(population, lambda array, name: np.concatenate([array, np.full(count, zeros[name].zero, array.dtype)]))
     return slice(old, old + count)
 
 
-def _remake(population: Population, change: Callable[[NDArray[Any], str], NDArray[Any]]) -> None:
+def _remake_registers(population: Population, change: Callable[[NDArray[Any], str], NDArray[Any]]) -> None:
     """Change every register array. Registers that share one array for start and now still do so."""
     for name, array in population.now.items():
         shared = population.start[name] is array

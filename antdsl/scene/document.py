@@ -10,9 +10,9 @@ from typing import Any
 
 from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Label, Report
-from antdsl.scene.indentation import indented_otherwise, without_colon
+from antdsl.scene.indentation import explain_indentation, explain_missing_colon
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.number_slips import comma_in_number, number_with_comma
+from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number
 
 Key = str | int
 
@@ -42,16 +42,16 @@ class MappingNode:
 Node = ScalarNode | SequenceNode | MappingNode
 
 
-def plain(node: Node) -> Any:
+def plain_tree(node: Node) -> Any:
     """The tree as dicts, lists and str, for the schema."""
     if isinstance(node, MappingNode):
-        return {key: plain(value) for key, value in node.entries.items()}
+        return {key: plain_tree(value) for key, value in node.entries.items()}
     if isinstance(node, SequenceNode):
-        return [plain(item) for item in node.items]
+        return [plain_tree(item) for item in node.items]
     return node.text
 
 
-def find(node: Node, path: Sequence[Key], *, key: bool = False) -> tuple[Span, tuple[Key, ...]]:
+def find_span(node: Node, path: Sequence[Key], *, key: bool = False) -> tuple[Span, tuple[Key, ...]]:
     """Return the location of what a path of keys leads to (of its last key if `key`), or of its nearest existing ancestor, and
     the path up to there.
 
@@ -70,7 +70,7 @@ def find(node: Node, path: Sequence[Key], *, key: bool = False) -> tuple[Span, t
     return span, walked
 
 
-class _Refused(Exception):
+class _DocumentRefused(Exception):
     """Reading cannot continue; the error is already in the report."""
 
 
@@ -111,13 +111,13 @@ def read_document(source: Source) -> tuple[MappingNode | None, Report]:
     reader = _Reader(source)
     try:
         root = reader.read()
-    except _Refused:
+    except _DocumentRefused:
         return None, reader.report
     return (root if reader.report.ok else None), reader.report
 
 
 @dataclass(slots=True)
-class _Open:
+class _OpenNode:
     """A mapping or sequence that has not ended yet."""
 
     start: int
@@ -141,18 +141,18 @@ class _Reader:
         start, end = self.offset(event.start_mark), self.offset(event.end_mark)
         return Span(self.source, start, max(end, start))
 
-    def refuse(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _Refused:
+    def refuse(self, code: str, message: str, span: Span, help: str | None = None, *labels: Label) -> _DocumentRefused:
         self.report.error(code, message, span, help, labels=labels)
-        return _Refused()
+        return _DocumentRefused()
 
     def read(self) -> MappingNode:
         import yaml
 
         loader = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
         try:
-            root = self.consume(yaml, yaml.parse(self.source.text, Loader=loader))
+            root = self.build_tree(yaml, yaml.parse(self.source.text, Loader=loader))
         except yaml.YAMLError as problem:
-            raise self.syntax(problem) from None
+            raise self.syntax_refusal(problem) from None
         start_span = Span(self.source, 0, min(len(self.source.text), 1))
         if root is None or (isinstance(root, ScalarNode) and not root.text):
             raise self.refuse("empty-scene", "the scene is empty", start_span, "begin with `antdsl: 1`")
@@ -160,10 +160,10 @@ class _Reader:
             raise self.refuse("wrong-value", "a scene is a list of `key: value` lines", root.span, "begin with `antdsl: 1`")
         return root
 
-    def too_deep(self, span: Span) -> _Refused:
+    def depth_refusal(self, span: Span) -> _DocumentRefused:
         return self.refuse("too-large", f"values lie more than {limits.YAML_DEPTH} deep in each other", span)
 
-    def odd_blank(self, match: re.Match[str]) -> None:
+    def report_odd_blank(self, match: re.Match[str]) -> None:
         """Report the first character that looks like a blank and is not one."""
         import unicodedata
 
@@ -177,23 +177,23 @@ class _Reader:
         place = Span(self.source, match.start(), match.end())
         self.report.error("odd-blank", f"{message} in place of a blank" if is_blank else f"{message} does not show", place, help)
 
-    def syntax(self, problem: Any) -> _Refused:
+    def syntax_refusal(self, problem: Any) -> _DocumentRefused:
         mark = getattr(problem, "problem_mark", None) or getattr(problem, "context_mark", None)
         start = self.offset(mark) if mark is not None else 0
         words = (getattr(problem, "problem", None) or "this is not YAML").replace("'\\t'", "a tab")
         text, help = self.source.text, None
         labels: list[Label] = []
         if "nesting depth" in words:  # newer readers of YAML look further ahead than the events they have given
-            return self.too_deep(Span(self.source, start, min(start + 1, len(self.source.text))))
+            return self.depth_refusal(Span(self.source, start, min(start + 1, len(self.source.text))))
         if not text.isascii():
             odd = _ODD_BLANK.search(_QUOTED.sub(lambda quoted: "." * len(quoted[0]), text))
             if odd is not None:
-                self.odd_blank(odd)
-                return _Refused()
-        better = self.better(problem, start)
+                self.report_odd_blank(odd)
+                return _DocumentRefused()
+        better = self.explain_problem(problem, start)
         if better is not None:
             self.report.add(better)
-            return _Refused()
+            return _DocumentRefused()
         if text[start : start + 1] == "\t" or "a tab" in words:
             words, help = "a tab cannot indent a line", "indent with blanks"
         elif "%" in text[start : start + 1]:
@@ -208,21 +208,21 @@ class _Reader:
         place = Span(self.source, start, min(start + 1, len(text)))
         return self.refuse("scene-syntax", f"cannot read the scene here: {words}", place, help, *labels)
 
-    def better(self, problem: Any, start: int) -> Diagnostic | None:
+    def explain_problem(self, problem: Any, start: int) -> Diagnostic | None:
         """Return a more precise message for a line that is a YAML error, or None."""
         if str(getattr(problem, "context", "")).startswith("while parsing a flow"):
             return None
         start_mark = getattr(problem, "context_mark", None)
         if "could not find expected ':'" in (getattr(problem, "problem", None) or "") and start_mark is not None:
-            diagnostic = without_colon(self.source, self.offset(start_mark))
+            diagnostic = explain_missing_colon(self.source, self.offset(start_mark))
             if diagnostic is not None:
                 return diagnostic
-        return indented_otherwise(self.source, start) or without_colon(self.source, start)
+        return explain_indentation(self.source, start) or explain_missing_colon(self.source, start)
 
-    def consume(self, yaml: Any, events: Any) -> Node | None:
+    def build_tree(self, yaml: Any, events: Any) -> Node | None:
         """Build the tree from the stream of events with an explicit stack, so that depth and size are checked before they become
         expensive."""
-        stack: list[_Open] = []
+        stack: list[_OpenNode] = []
         root: Node | None = None
         count = documents = 0
         for event in events:
@@ -255,14 +255,14 @@ class _Reader:
                 node = ScalarNode(event.value, bool(event.style), self.span(event))
                 odd = None if event.style or event.value.isascii() else _ODD_BLANK.search(event.value)
                 if odd is not None:
-                    self.odd_blank(_ODD_BLANK.search(self.source.text, node.span.start) or odd)
-                    raise _Refused
+                    self.report_odd_blank(_ODD_BLANK.search(self.source.text, node.span.start) or odd)
+                    raise _DocumentRefused
             elif isinstance(event, yaml.CollectionStartEvent):
-                stack.append(_Open(self.offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
+                stack.append(_OpenNode(self.offset(event.start_mark), isinstance(event, yaml.MappingStartEvent)))
                 if len(stack) > limits.YAML_DEPTH:
-                    raise self.too_deep(self.span(event))
+                    raise self.depth_refusal(self.span(event))
             elif isinstance(event, yaml.CollectionEndEvent):
-                node = self.close(stack.pop(), self.offset(event.end_mark))
+                node = self.finish_node(stack.pop(), self.offset(event.end_mark))
             if node is not None:
                 if stack:
                     stack[-1].items.append(node)
@@ -270,7 +270,7 @@ class _Reader:
                     root = node
         return root
 
-    def close(self, opened: _Open, end: int) -> Node:
+    def finish_node(self, opened: _OpenNode, end: int) -> Node:
         text = self.source.text
         while end > opened.start + 1 and text[end - 1 : end].isspace():
             end -= 1
@@ -285,9 +285,9 @@ class _Reader:
                 self.report.error("wrong-value", "a key must be one word", key.span, "write `key: value`")
                 continue
             if isinstance(value, ScalarNode) and not value.text and not value.quoted:  # `{radius: 0,4 m}`
-                number = number_with_comma(self.source, key.span.start - 1)
+                number = find_comma_number(self.source, key.span.start - 1)
                 if number is not None:
-                    self.report.add(comma_in_number(number))
+                    self.report.add(comma_diagnostic(number))
                     continue
             if key.text == "<<":
                 self.report.error(

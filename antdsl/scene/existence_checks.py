@@ -8,8 +8,8 @@ from pathlib import Path
 
 from antdsl import limits
 from antdsl.diagnostics import Fix, Label, Report
-from antdsl.program.consequences import in_one
-from antdsl.program.model import Program, Thing
+from antdsl.program.consequences import merge_repeats
+from antdsl.program.model import Program, ThingRef
 from antdsl.program.traverse import parts
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
@@ -35,7 +35,7 @@ def bodies(scene: Scene, program: Program, report: Report) -> None:
             )  # fmt: skip
         elif line.body not in BODY_WORDS and earlier == number:
             try:
-                size = scene.roots.exists(line.body)
+                size = scene.roots.file_size(line.body)
             except PathRefused as refused:
                 report.error(refused.code, str(refused), place, refused.help)
                 continue
@@ -43,13 +43,13 @@ def bodies(scene: Scene, program: Program, report: Report) -> None:
                 report.error("too-large", f"`{line.body}` has {size:,} bytes, more than {limits.BODY_BYTES:,}", place)
 
 
-def absent_species(scene: Scene, program: Program, report: Report) -> None:
+def check_absent_species(scene: Scene, program: Program, report: Report) -> None:
     """Report species that agents look for, or collide with, but that nothing defines."""
     absent = [name for name, thing in program.world.items() if thing.kind == "species" and name not in program.species]
     if not absent:
         return
     every = list(parts(tuple(program.species.values())))
-    requested_names = {each.name for each in every if isinstance(each, Thing)} | {
+    requested_names = {each.name for each in every if isinstance(each, ThingRef)} | {
         of for each in every if isinstance(of := getattr(each, "of", None), str)
     }
     for name in absent:
@@ -60,7 +60,7 @@ def absent_species(scene: Scene, program: Program, report: Report) -> None:
             report.error("missing-thing", message, scene.span("antdsl", key=True), advice, labels=(label,))
 
 
-def spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:
+def check_spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = None) -> Report:
     """Report scenes that specs name and that do not exist, once for each with all its locations. The files are not read."""
     report = Report()
     specs = program.specs if program else ()
@@ -70,10 +70,10 @@ def spec_scenes(program: Program | None, grants: Mapping[str, Path] | None = Non
             continue
         roots = Roots(Path(text.span.source.path).resolve().parent, grants or {})
         try:
-            roots.exists(text.text)
+            roots.file_size(text.text)
         except PathRefused as refused:
             near = _MEANT.fullmatch(refused.help or "")
             fix = Fix(text.span, f'"{near[1]}"') if near and "/" not in text.text else None
             advice = refused.help or "name a scene that lies beside this program or below its folder"
             report.error(refused.code, str(refused), text.span, advice, fix=fix)
-    return in_one(report)
+    return merge_repeats(report)

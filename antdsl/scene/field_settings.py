@@ -9,7 +9,7 @@ from typing import Any
 
 from antdsl.diagnostics import Report
 from antdsl.program.model import Ask, Const, Dim, Expr, Field, Kind, Program, Rate, Type
-from antdsl.program.tables.effects import feeding
+from antdsl.program.tables.effects import feeding_effects
 from antdsl.program.traverse import parts
 from antdsl.program.types.folding import constant_behind
 from antdsl.scene.load import Scene
@@ -25,18 +25,18 @@ _DIMS = {
 }
 
 
-def dimension(program: Program, name: str) -> Dim | None:
+def setting_dimension(program: Program, name: str) -> Dim | None:
     """Return the dimension of a field's setting; None if there is no setting of this name."""
     field, _, word = name.partition(".")
     return _DIMS.get(word) if field in program.fields and name not in program.params else None
 
 
-def settable(program: Program) -> list[str]:
+def settable_names(program: Program) -> list[str]:
     """Return the names of all field settings that can be set to another value."""
     return [f"{field}.{word}" for field in program.fields for word in _DIMS]
 
 
-def refused(name: str, value: Quantity) -> str:
+def refusal_help(name: str, value: Quantity) -> str:
     """Return what to write instead of a value that is an error for a setting; empty if the value is valid."""
     word = name.partition(".")[2]
     if word == "keeps" and (value.step != -1 or not 0 <= value.number <= 1):
@@ -47,21 +47,21 @@ def refused(name: str, value: Quantity) -> str:
     return ""
 
 
-def with_fields(program: Program, scene: Scene, values: Mapping[str, Quantity]) -> Program:
+def with_field_settings(program: Program, scene: Scene, values: Mapping[str, Quantity]) -> Program:
     """Return the program with these settings of its fields. Unknown names are ignored."""
     fields = dict(program.fields)
     for name, value in values.items():
-        dim = dimension(program, name)
+        dim = setting_dimension(program, name)
         if dim is None:
             continue
         field, _, word = name.partition(".")
         place = scene.span("set", name) if name in scene.model.set else fields[field].span
         const = Const(Type(Kind.NUMBER, dim), Rate.CONST, place, value.number, u=value.u, step=value.step)
-        fields[field] = with_field(fields[field], word, const)
+        fields[field] = with_field_setting(fields[field], word, const)
     return replace(program, fields=fields)
 
 
-def with_field(field: Field, word: str, value: Expr) -> Field:
+def with_field_setting(field: Field, word: str, value: Expr) -> Field:
     """Return a field with another value of one setting. Setting one way to fade removes the others."""
     values: dict[str, Any] = dict.fromkeys(FADING) if word in FADING else {}
     return replace(field, **{**values, word: value})
@@ -73,10 +73,10 @@ def largest_stable_diffusion(cell: float, dt: float) -> float:
     return cell * cell / (4.0 * dt)
 
 
-def spreading(scene: Scene, program: Program, report: Report) -> None:
+def check_spreading(scene: Scene, program: Program, report: Report) -> None:
     dt = float(1 / scene.model.fps)
-    for field in with_fields(program, scene, scene.model.set).fields.values():
-        cell, diffuse = _base(scene, field.cell), _base(scene, field.diffuse)
+    for field in with_field_settings(program, scene, scene.model.set).fields.values():
+        cell, diffuse = _constant_in_base_units(scene, field.cell), _constant_in_base_units(scene, field.diffuse)
         most = largest_stable_diffusion(cell, dt) if cell else 0.0
         if cell and diffuse and diffuse > most * (1 + 1e-6):
             report.error(
@@ -85,7 +85,7 @@ def spreading(scene: Scene, program: Program, report: Report) -> None:
                 field.diffuse.span if field.diffuse is not None else field.span,
                 f"write `diffuse` {most:g} mm^2/s or less, or a larger `cell`",
             )  # fmt: skip
-    laying = feeding("field")
+    laying = feeding_effects("field")
     laid = {part.of for part in parts(tuple(program.species.values())) if isinstance(part, Ask) and part.op in laying}
     for name, field in program.fields.items():
         if name not in laid and name not in scene.model.fields:
@@ -95,7 +95,7 @@ def spreading(scene: Scene, program: Program, report: Report) -> None:
             )  # fmt: skip
 
 
-def _base(scene: Scene, value: Expr | None) -> float | None:
+def _constant_in_base_units(scene: Scene, value: Expr | None) -> float | None:
     """Return a constant setting in base units; None if there is none, or if it depends on params."""
     constant = constant_behind(value) if value is not None else None
     if constant is None:

@@ -27,7 +27,7 @@ class _Line:
     text: str
 
     @property
-    def dash(self) -> bool:
+    def is_item(self) -> bool:
         return self.text == "-" or self.text.startswith("- ")
 
 
@@ -42,40 +42,40 @@ class _Level:
 
 
 @dataclass(slots=True)
-class _Odd:
+class _OddLine:
     """A line that fits no level, and the level nearest to it."""
 
     line: _Line
     level: _Level
 
 
-def indented_otherwise(source: Source, stop: int) -> Diagnostic | None:
+def explain_indentation(source: Source, stop: int) -> Diagnostic | None:
     """Return the error about the first line, up to the one with `stop`, with an indent that fits none of the lines it could
     belong to. If shifting the line before it solves the problem instead, the error is about that line."""
     odd = _first_odd(source.text, stop)
     if odd is None:
         return None
     line, level, shift = odd.line, odd.level, odd.level.indent - odd.line.indent
-    start, end, text = _shifted(source.text, line, shift)
+    start, end, text = _shift_line(source.text, line, shift)
     previous_line = level.line
     if previous_line is not None and _first_odd(source.text[:start] + text + source.text[end:]) and previous_line.indent >= shift:
-        other = _shifted(source.text, previous_line, -shift, alone=True)
+        other = _shift_line(source.text, previous_line, -shift, alone=True)
         if _first_odd(source.text[: other[0]] + other[2] + source.text[other[1] :]) is None:
             line, level, shift, (start, end, text) = (
                 previous_line,
-                _Level(previous_line.indent - shift, previous_line.dash, None),
+                _Level(previous_line.indent - shift, previous_line.is_item, None),
                 -shift,
                 other,
             )
-    where = "at the left edge" if not level.indent else f"with {_blanks(level.indent)}"
+    where = "at the left edge" if not level.indent else f"with {_blank_text(level.indent)}"
     beside = level.text if len(level.text) <= _DISPLAY_WIDTH else level.text[: _DISPLAY_WIDTH - 1] + "…"
-    message = f"this line begins with {_blanks(line.indent)}, and those it stands among with {_blanks(level.indent)}"
+    message = f"this line begins with {_blank_text(line.indent)}, and those it stands among with {_blank_text(level.indent)}"
     help = f"begin it {where}" + (f", below `{beside}`" if beside else "")
     span = Span(source, line.start, line.start + len(line.text))
     return Diagnostic(_CODE, message, span, help=help, fix=Fix(Span(source, start, end), text))
 
 
-def _first_odd(text: str, stop: int | None = None) -> _Odd | None:
+def _first_odd(text: str, stop: int | None = None) -> _OddLine | None:
     levels: list[_Level] = []
     opened = False  # the line before has a key without a value
     for line in _lines(text, len(text) if stop is None else stop):
@@ -83,14 +83,16 @@ def _first_odd(text: str, stop: int | None = None) -> _Odd | None:
             return None
         expected_level = _find_level(levels, line, opened)
         if expected_level is not None:
-            return _Odd(line, expected_level)
-        while levels and (levels[-1].indent > line.indent or (levels[-1].indent == line.indent and levels[-1].dash > line.dash)):
+            return _OddLine(line, expected_level)
+        while levels and (
+            levels[-1].indent > line.indent or (levels[-1].indent == line.indent and levels[-1].dash > line.is_item)
+        ):
             levels.pop()
-        opened = _enter(levels, line)
+        opened = _enter_line(levels, line)
     return None
 
 
-def _enter(levels: list[_Level], line: _Line) -> bool:
+def _enter_line(levels: list[_Level], line: _Line) -> bool:
     """Add a line. Returns whether its last key has no value, so that a block may follow."""
     indent, text = line.indent, line.text
     while True:
@@ -113,31 +115,31 @@ def _enter(levels: list[_Level], line: _Line) -> bool:
 def _find_level(levels: list[_Level], line: _Line, opened: bool) -> _Level | None:
     """Return the level to which this line should belong; None if its indent is right."""
     if not levels:
-        return _Level(0, line.dash, None) if line.indent else None
+        return _Level(0, line.is_item, None) if line.indent else None
     last = levels[-1]
-    if opened and (line.indent > last.indent or (line.dash and line.indent == last.indent)):
+    if opened and (line.indent > last.indent or (line.is_item and line.indent == last.indent)):
         return None
-    fitting = [level for level in levels if level.dash == line.dash] or levels
-    if any(level.indent == line.indent for level in fitting if level.dash == line.dash):
+    fitting = [level for level in levels if level.dash == line.is_item] or levels
+    if any(level.indent == line.indent for level in fitting if level.dash == line.is_item):
         return None
     return min(reversed(fitting), key=lambda level: abs(level.indent - line.indent))
 
 
-def _shifted(text: str, line: _Line, shift: int, *, alone: bool = False) -> tuple[int, int, str]:
+def _shift_line(text: str, line: _Line, shift: int, *, alone: bool = False) -> tuple[int, int, str]:
     """Shift a line with everything below it: return the range of the text and its replacement."""
     start = line.start - line.indent
-    hangs = not alone and (shift < 0 or line.dash or line.text.endswith(":"))
-    end = _below(text, line) if hangs else _end(text, line.start)
+    hangs = not alone and (shift < 0 or line.is_item or line.text.endswith(":"))
+    end = _find_block_end(text, line) if hangs else _find_line_end(text, line.start)
     lines = text[start:end].split("\n")
     moved = [" " * shift + each if shift > 0 and each.strip() else each[max(0, -shift) :] for each in lines]
     return start, end, "\n".join(moved)
 
 
-def _below(text: str, line: _Line) -> int:
+def _find_block_end(text: str, line: _Line) -> int:
     """Return the end of a line with all lines below it that are indented more."""
-    last = _end(text, line.start)
+    last = _find_line_end(text, line.start)
     while last < len(text):
-        stop = _end(text, last + 1)
+        stop = _find_line_end(text, last + 1)
         following = text[last + 1 : stop]
         if following.strip() and len(following) - len(following.lstrip(" ")) <= line.indent:
             break
@@ -147,11 +149,11 @@ def _below(text: str, line: _Line) -> int:
     return last
 
 
-def _blanks(count: int) -> str:
+def _blank_text(count: int) -> str:
     return "no blank" if not count else f"{count} blank{'s' if count > 1 else ''}"
 
 
-def _end(text: str, start: int) -> int:
+def _find_line_end(text: str, start: int) -> int:
     end = text.find("\n", start)
     return len(text) if end < 0 else end
 
@@ -160,14 +162,14 @@ def _lines(text: str, stop: int) -> Iterator[_Line]:
     """Yield the non-empty lines up to an offset that do not continue a bracket, a quoted text or a block of text."""
     position, depth, quote, block = 0, 0, "", -1
     while position < len(text) and position <= stop:
-        end = _end(text, position)
+        end = _find_line_end(text, position)
         line = text[position:end].rstrip("\r")
         bare = line.lstrip(" \t")
         indent = len(line) - len(bare)
         inside = depth > 0 or quote or (block >= 0 and (indent > block or not bare))
         if not inside:
             block = -1
-        content, depth, quote = _read(line, depth, quote) if block < 0 else (line, 0, "")
+        content, depth, quote = _strip_comment(line, depth, quote) if block < 0 else (line, 0, "")
         content = content.strip(" \t")
         if not inside and content and content not in ("---", "..."):
             yield _Line(position + indent, indent, content)
@@ -176,7 +178,7 @@ def _lines(text: str, stop: int) -> Iterator[_Line]:
         position = end + 1
 
 
-def _read(line: str, depth: int, quote: str) -> tuple[str, int, str]:
+def _strip_comment(line: str, depth: int, quote: str) -> tuple[str, int, str]:
     """Return a line without its comment, the number of open brackets at its end, and the open quote."""
     previous_character = " "
     for place, character in enumerate(line):
@@ -194,14 +196,14 @@ def _read(line: str, depth: int, quote: str) -> tuple[str, int, str]:
     return line, depth, quote
 
 
-def without_colon(source: Source, start: int) -> Diagnostic | None:
+def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
     """Return the error about a line such as `fps 24` or `fps:24`, at or above an offset, that was read as continuing into the
     next."""
     line, _ = source.line_column(start)
     for number in (line, line - 1):
         text = source.line_text(number)
         bare = text.lstrip()
-        begin = _start(source, number) + len(text) - len(bare)
+        begin = _find_line_start(source, number) + len(text) - len(bare)
         for pattern, lack in ((_GLUED, "no blank behind `{}:`"), (_NO_COLON, "no `:` behind `{}`")):
             match = pattern.fullmatch(bare)
             if match is None or _KEY.match(bare.removeprefix("- ").lstrip()):
@@ -212,7 +214,7 @@ def without_colon(source: Source, start: int) -> Diagnostic | None:
     return None
 
 
-def _start(source: Source, line: int) -> int:
+def _find_line_start(source: Source, line: int) -> int:
     """Where a line begins, counted from 1."""
     low, high = 0, len(source.text)
     while low < high:

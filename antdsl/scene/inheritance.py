@@ -16,7 +16,7 @@ KEY = "extends"
 _OWN = frozenset((KEY, "antdsl"))  # said by each file for itself
 
 
-def extended(
+def merge_parents(
     document: MappingNode, name: str, roots: Roots, report: Report, texts: Mapping[Path, bytes] | None = None
 ) -> MappingNode | None:
     """Return the tree with everything from the scenes that it extends, nearest first; None with errors in the report.
@@ -26,10 +26,10 @@ def extended(
     scene_names = [name.replace("\\", "/").rsplit("/", 1)[-1]]
     behind = document
     while (node := behind.entries.get(KEY)) is not None:
-        other = _read(node, name, scene_names, roots, report, texts or {})
+        other = _read_parent(node, name, scene_names, roots, report, texts or {})
         if other is None:
             return None
-        document, behind = _over(document, other, _OWN), other
+        document, behind = _merge(document, other, _OWN), other
     return MappingNode(
         {key: value for key, value in document.entries.items() if key != KEY},
         {key: span for key, span in document.keys.items() if key != KEY},
@@ -37,7 +37,7 @@ def extended(
     )
 
 
-def _read(
+def _read_parent(
     node: Node, name: str, scene_names: list[str], roots: Roots, report: Report, texts: Mapping[Path, bytes]
 ) -> MappingNode | None:
     text = node.text.strip() if isinstance(node, ScalarNode) else ""
@@ -73,13 +73,13 @@ def _read(
     return other
 
 
-def _over(own: MappingNode, other: MappingNode, excluded_keys: frozenset[str] = frozenset()) -> MappingNode:
+def _merge(own: MappingNode, other: MappingNode, excluded_keys: frozenset[str] = frozenset()) -> MappingNode:
     """Merge mappings of both, key by key; anything else of `own` replaces the other's. Keys in `excluded_keys` are not merged."""
     entries: dict[str, Node] = {key: value for key, value in other.entries.items() if key not in excluded_keys}
     keys: dict[str, Span] = {key: span for key, span in other.keys.items() if key not in excluded_keys}
     for key, value in own.entries.items():
         other_value = entries.get(key)
         both = isinstance(value, MappingNode) and isinstance(other_value, MappingNode)
-        entries[key] = _over(value, other_value) if both else value  # type: ignore[arg-type]
+        entries[key] = _merge(value, other_value) if both else value  # type: ignore[arg-type]
         keys[key] = own.keys[key]
     return MappingNode(entries, keys, own.span)

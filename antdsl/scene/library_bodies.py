@@ -28,6 +28,6 @@ BODY_WORDS = tuple(CAPSULES)  # what a scene's `body:` takes beside files
 _BODY_OF = [(word, name) for name, row in _ROWS.items() for word in row["species"]]
 
 
-def body_of(species: str) -> str:
+def body_for_species(species: str) -> str:
     """Return the name of the body that suits a species by its name; an ant if no other does."""
     return next((name for word, name in _BODY_OF if word in species.lower()), "ant")

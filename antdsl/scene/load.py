@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 from antdsl import limits
 from antdsl.diagnostics import Diagnostic, Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.scene.document import Key, MappingNode, ScalarNode, decode, find, plain, read_document
-from antdsl.scene.inheritance import extended
+from antdsl.scene.document import Key, MappingNode, ScalarNode, decode, find_span, plain_tree, read_document
+from antdsl.scene.inheritance import merge_parents
 from antdsl.scene.paths import PathRefused, Roots, read_named
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.number_slips import WITH_COMMAS, comma_in_number
+from antdsl.syntax.mistakes.number_slips import WITH_COMMAS, comma_diagnostic
 
 if TYPE_CHECKING:
     from antdsl.scene.model import SceneModel
@@ -51,7 +51,7 @@ class Scene:
 
     def span(self, *path: Key, key: bool = False) -> Span:
         """Return the location of a value (or, with `key`, of its key) in the text, or of its nearest existing ancestor."""
-        return find(self.document, path, key=key)[0]
+        return find_span(self.document, path, key=key)[0]
 
     def changed(self, **values: object) -> Scene:
         """Return the same scene with other values for some keys; None leaves a key unchanged."""
@@ -87,7 +87,7 @@ def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] 
     document, report = read_document(source)
     if document is None:
         return None, report
-    document = extended(document, name, roots, report, texts)
+    document = merge_parents(document, name, roots, report, texts)
     if document is None:
         return None, report
     from pydantic import ValidationError
@@ -95,15 +95,15 @@ def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] 
     from antdsl.scene.model import SceneModel
 
     try:
-        model = SceneModel.model_validate(plain(document))
+        model = SceneModel.model_validate(plain_tree(document))
     except ValidationError as problem:
-        outside = _outside(document)
-        for error in _single(problem.errors(include_url=False, include_input=False)):
+        outside = _find_outdented(document)
+        for error in _drop_consequences(problem.errors(include_url=False, include_input=False)):
             path = tuple(error["loc"])
             if path[:1] and path[0] in outside and len(path) == 1:
                 report.add(outside[path[0]])
             else:
-                _complain(report, document, error)
+                _report_error(report, document, error)
         return None, report
     return Scene(model, document, source, roots), report
 
@@ -111,7 +111,7 @@ def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] 
 _WITH_LINES = frozenset(("world", "set", "fields", "layers", "camera", "lod", "output"))
 
 
-def _outside(document: MappingNode) -> dict[Key, Diagnostic]:
+def _find_outdented(document: MappingNode) -> dict[Key, Diagnostic]:
     """Find lines at the left edge that belong below the previous key, which has no value. Returns the error about the first of
     them, by the keys for which no other error is to be reported."""
     from antdsl.scene.model import SceneModel
@@ -136,7 +136,7 @@ def _outside(document: MappingNode) -> dict[Key, Diagnostic]:
     return diagnostics
 
 
-def _single(errors: list[Any]) -> list[Any]:
+def _drop_consequences(errors: list[Any]) -> list[Any]:
     """Return the errors without those that only follow from a misspelled key. Such a key is unknown, and the intended one is
     missing. Where any key is allowed, its value has the wrong kind instead."""
     missing = {tuple(error["loc"]) for error in errors if error["type"] == "missing"}
@@ -156,13 +156,13 @@ def _single(errors: list[Any]) -> list[Any]:
     return [error for path, error in errors_by_path.items() if error["type"] != "missing" or path not in meant]
 
 
-def _complain(report: Report, document: MappingNode, error: Any) -> None:
+def _report_error(report: Report, document: MappingNode, error: Any) -> None:
     kind, path = error["type"], tuple(error["loc"])
     if kind == "extra_forbidden":
-        _unknown_key(report, document, path, error.get("meant"))
+        _report_unknown_key(report, document, path, error.get("meant"))
         return
     if kind == "missing":
-        span, walked = find(document, path[:-1], key=bool(path[:-1]))
+        span, walked = find_span(document, path[:-1], key=bool(path[:-1]))
         if isinstance(path[-1], int):
             report.error("wrong-value", "this list has too few values", span, "a point is `[x, y, z]`")
             return
@@ -173,10 +173,10 @@ def _complain(report: Report, document: MappingNode, error: Any) -> None:
         report.error("missing-key", f"{owner_text} has no `{path[-1]}`", span, f"add `{path[-1]}: {value}`")
         return
     bad_key = bool(path) and path[-1] == "[key]"
-    span, _ = find(document, path[:-1] if bad_key else path, key=bad_key)
+    span, _ = find_span(document, path[:-1] if bad_key else path, key=bad_key)
     number = WITH_COMMAS.search(span.text) if kind == "too_long" else None
     if number is not None:  # `[0,4, 1, 2]`
-        report.add(comma_in_number(Span(span.source, span.start + number.start(), span.start + number.end())))
+        report.add(comma_diagnostic(Span(span.source, span.start + number.start(), span.start + number.end())))
         return
     if kind == "scene":
         context = error["ctx"]
@@ -184,7 +184,7 @@ def _complain(report: Report, document: MappingNode, error: Any) -> None:
     else:
         report.error(
             "wrong-value",
-            _words(kind, error),
+            _error_words(kind, error),
             span,
             _LISTS.get(str(path[-1])) if path and kind in ("tuple_type", "too_short") else None,
         )
@@ -213,28 +213,28 @@ _SHAPES = {
 _LISTS = {"wear": "write `wear: [LAYER]`", "any": "write `{any: [LAYER, LAYER, none]}`"}  # what to write for lists, by their key
 
 
-def _words(kind: str, error: Any) -> str:
+def _error_words(kind: str, error: Any) -> str:
     return _SHAPES.get(kind) or str(error["msg"]).rstrip(".").replace("Input should be", "this should be").lower()
 
 
-def _unknown_key(report: Report, document: MappingNode, path: tuple[Key, ...], meant: str | None) -> None:
+def _report_unknown_key(report: Report, document: MappingNode, path: tuple[Key, ...], meant: str | None) -> None:
     key = str(path[-1])
-    span, _ = find(document, path, key=True)
-    allowed = sorted(_allowed(path))
+    span, _ = find_span(document, path, key=True)
+    allowed = sorted(_allowed_keys(path))
     near = meant or nearest_name(key, allowed)
     if len(path) == 1 and key in _ELSEWHERE:
         report.error("unknown-key", f"`{key}` is not a scene setting", span, _ELSEWHERE[key])
         return
     help = f"did you mean `{near}`?" if near else "known here: " + ", ".join(f"`{word}`" for word in allowed)
-    report.error("unknown-key", f"`{key[:60]}` is not a key of {_place(path)}", span, help)
+    report.error("unknown-key", f"`{key[:60]}` is not a key of {_path_text(path)}", span, help)
 
 
-def _place(path: tuple[Key, ...]) -> str:
+def _path_text(path: tuple[Key, ...]) -> str:
     above = [part for part in path[:-1] if isinstance(part, str) and not part.endswith(_TAGS)]
     return f"`{above[-1]}`" if above else "a scene"
 
 
-def _allowed(path: tuple[Key, ...]) -> list[str]:
+def _allowed_keys(path: tuple[Key, ...]) -> list[str]:
     """The keys that the model at a path knows."""
     from antdsl.scene import model
     from antdsl.scene.crowd_model import AnyOf

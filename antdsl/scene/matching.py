@@ -12,12 +12,12 @@ from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Dim, Kind, Program, WorldThing
 from antdsl.program.tables.things import KINDS_OF_THINGS
-from antdsl.program.tables.units import dimension_words, format_number, unit_of, with_unit
+from antdsl.program.tables.units import default_unit, dimension_words, format_number, with_unit
 from antdsl.scene import field_settings
 from antdsl.scene.crowd_model import Placement, UsdPlaces
 from antdsl.scene.document import Key
-from antdsl.scene.existence_checks import absent_species, bodies
-from antdsl.scene.field_settings import spreading
+from antdsl.scene.existence_checks import bodies, check_absent_species
+from antdsl.scene.field_settings import check_spreading
 from antdsl.scene.load import Scene
 from antdsl.scene.model import FILE_HEADS, MODELS, FlowThing, MeshThing, PaintedThing, UsdThing
 from antdsl.scene.paths import PathRefused
@@ -27,7 +27,7 @@ from antdsl.scene.quantities import Quantity
 FRAME_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "group")
 
 
-def match(scene: Scene, program: Program) -> Report:
+def match_scene(scene: Scene, program: Program) -> Report:
     """Return everything that does not match, with its location in the scene."""
     report = Report()
     for check in CHECKS:
@@ -35,12 +35,14 @@ def match(scene: Scene, program: Program) -> Report:
     return report
 
 
-def const_base(const: Const, scene: Scene) -> float:
+def const_in_base_units(const: Const, scene: Scene) -> float:
     """Return a constant of the program in base units, for this scene's length unit and frame rate."""
     return float(const.number * scene.model.unit_mm**const.u * float(1 / scene.model.fps) ** const.step)
 
 
-def _unknown(report: Report, scene: Scene, path: tuple[Key, ...], what: str, known: Iterable[str], *, key: bool = True) -> None:
+def _report_unknown(
+    report: Report, scene: Scene, path: tuple[Key, ...], what: str, known: Iterable[str], *, key: bool = True
+) -> None:
     names = sorted(known)
     name = str(path[-1]) if key else scene.span(*path).text
     near = nearest_name(name, names)
@@ -48,11 +50,11 @@ def _unknown(report: Report, scene: Scene, path: tuple[Key, ...], what: str, kno
     report.error("unknown-thing", f"{what} `{name}`", scene.span(*path, key=key), help)
 
 
-def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
+def _check_file(scene: Scene, report: Report, text: str, *path: Key) -> None:
     """Check whether a file, or the files of a sequence, exist."""
     try:
         files = scene.roots.sequence(text).values() if scene.roots.is_sequence(text) else (text,)
-        size = max(scene.roots.exists(file) for file in files)
+        size = max(scene.roots.file_size(file) for file in files)
     except PathRefused as refused:
         report.error(refused.code, str(refused), scene.span(*path), refused.help)
         return
@@ -60,13 +62,13 @@ def _file(scene: Scene, report: Report, text: str, *path: Key) -> None:
         report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MESH_BYTES:,}", scene.span(*path))
 
 
-def _world(scene: Scene, program: Program, report: Report) -> None:
+def _check_world(scene: Scene, program: Program, report: Report) -> None:
     scene_things = scene.model.world
     program_things = {name: thing for name, thing in program.world.items() if thing.kind in MODELS}
     misspelt = set()
     for name in scene_things:
         if name not in program_things:
-            _unknown(report, scene, ("world", name), "no program has a thing of the world named", program_things)
+            _report_unknown(report, scene, ("world", name), "no program has a thing of the world named", program_things)
             misspelt.add(nearest_name(name, program_things))
     for name, thing in program_things.items():
         row = KINDS_OF_THINGS[thing.kind]
@@ -83,22 +85,22 @@ def _world(scene: Scene, program: Program, report: Report) -> None:
             place, advice = scene.span("world", name), f"write `{name}: {row.scene}`"
             report.error("wrong-kind", message, place, advice, labels=(Label(thing.span, "declared here"),))
         else:
-            _thing(scene, program, report, name, thing)
+            _check_thing(scene, program, report, name, thing)
 
 
-def _surfaces(program: Program, *others: str) -> list[str]:
+def _surface_names(program: Program, *others: str) -> list[str]:
     return [name for name, thing in program.world.items() if thing.kind in ("surface", *others)]
 
 
-def _thing(scene: Scene, program: Program, report: Report, name: str, thing: WorldThing) -> None:
+def _check_thing(scene: Scene, program: Program, report: Report, name: str, thing: WorldThing) -> None:
     value = scene.model.world[name]
     if thing.kind == "solid":
-        _stays(scene, report, name)
+        _check_fixed_solid(scene, report, name)
     for head in FILE_HEADS if not isinstance(value, PaintedThing) else ():
         if (file := getattr(value, head, None)) is not None:
-            _file(scene, report, file, "world", name, head)
+            _check_file(scene, report, file, "world", name, head)
     if isinstance(value, UsdThing):
-        _only_items(scene, report, name, thing, value)
+        _check_item_keys(scene, report, name, thing, value)
     if isinstance(value, MeshThing | UsdThing):
         if thing.kind == "solid" and value.voxel is None:
             report.error(
@@ -121,29 +123,31 @@ def _thing(scene: Scene, program: Program, report: Report, name: str, thing: Wor
 
         drawn = match_flow(scene, program, report, name, value)
         if drawn is not None:
-            _file(scene, report, drawn[1], "world", name, drawn[0])
+            _check_file(scene, report, drawn[1], "world", name, drawn[0])
     elif isinstance(value, dict):
         declared = [a.name for a in thing.attributes]
         for item, placed in value.items():
-            if placed.on is not None and placed.on not in _surfaces(program):
-                _unknown(report, scene, ("world", name, item, "on"), "no surface is named", _surfaces(program), key=False)
+            if placed.on is not None and placed.on not in _surface_names(program):
+                _report_unknown(
+                    report, scene, ("world", name, item, "on"), "no surface is named", _surface_names(program), key=False
+                )
             known = [*declared, "at", "on", "radius", "keys", "look"]
-            _attributes(scene, report, name, thing, placed.model_extra or {}, known, "world", name, item)
+            _check_attributes(scene, report, name, thing, placed.model_extra or {}, known, "world", name, item)
 
 
-def _attributes(
+def _check_attributes(
     scene: Scene, report: Report, name: str, thing: WorldThing, quantities: Mapping[str, Quantity], known: list[str], *path: Key
 ) -> None:
     """Check values of items' attributes against the program's declarations."""
     declared = {a.name: a for a in thing.attributes}
     for key, quantity in quantities.items():
         if key not in declared:
-            _unknown(report, scene, (*path, key), f"`{name}` has no attribute", known)
+            _report_unknown(report, scene, (*path, key), f"`{name}` has no attribute", known)
         elif declared[key].type.kind is Kind.NUMBER:
-            _dimension(scene, report, quantity, declared[key].type.dim, key, *path, key)
+            _check_dimension(scene, report, quantity, declared[key].type.dim, key, *path, key)
 
 
-def _only_items(scene: Scene, report: Report, name: str, thing: WorldThing, value: UsdThing) -> None:
+def _check_item_keys(scene: Scene, report: Report, name: str, thing: WorldThing, value: UsdThing) -> None:
     """Check the settings of a part of a USD file that only apply to items against the program's declarations."""
     unseen = ("look",) if thing.kind == "curve" else ()
     keys = [key for key in ("each", "kind", "turn", *unseen) if key in value.model_fields_set]
@@ -154,13 +158,13 @@ def _only_items(scene: Scene, report: Report, name: str, thing: WorldThing, valu
         return
     declared = {a.name: a.type for a in thing.attributes}
     if "each" in keys:
-        _attributes(scene, report, name, thing, value.each.model_extra or {}, [*declared, "radius"], "world", name, "each")
+        _check_attributes(scene, report, name, thing, value.each.model_extra or {}, [*declared, "radius"], "world", name, "each")
     axes = value.turn if isinstance(value.turn, tuple) else ()
     for number, attribute in enumerate(axes or ([] if value.turn is None else [str(value.turn)])):
         place: tuple[Key, ...] = ("world", name, "turn", number) if axes else ("world", name, "turn")
         expected_dimension, words = (Dim(), "is a part of a direction, without unit") if axes else (Dim(angle=1), "is an angle")
         if attribute not in declared:
-            _unknown(report, scene, place, f"`{name}` has no attribute", declared, key=False)
+            _report_unknown(report, scene, place, f"`{name}` has no attribute", declared, key=False)
         elif declared[attribute].dim != expected_dimension:
             has = dimension_words(declared[attribute].dim)
             message = f"what `turn` gives `{attribute}` {words}, and `{attribute}` of `{name}` is {has}"
@@ -168,7 +172,7 @@ def _only_items(scene: Scene, report: Report, name: str, thing: WorldThing, valu
             report.error("wrong-unit", message, scene.span(*place), help)
 
 
-def _stays(scene: Scene, report: Report, name: str) -> None:
+def _check_fixed_solid(scene: Scene, report: Report, name: str) -> None:
     value = scene.model.world[name]
     if isinstance(value, MeshThing | UsdThing) and (
         value.keys or (isinstance(value, MeshThing) and scene.roots.is_sequence(value.mesh))
@@ -177,18 +181,18 @@ def _stays(scene: Scene, report: Report, name: str) -> None:
         report.error("wrong-value", f"the solid `{name}` cannot move", scene.span(*path), "give it one place for all frames")
 
 
-def _dimension(scene: Scene, report: Report, value: Quantity, dim: Dim, name: str, *path: Key) -> bool:
+def _check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dim, name: str, *path: Key) -> bool:
     if value.dim == dim:
         return True
     expected_words = dimension_words(dim)
-    if value.bare:
+    if value.is_bare:
         report.error(
             "missing-unit",
             f"`{name}` is {expected_words}, and `{value.text}` has no unit",
             scene.span(*path),
             f"write `{with_unit(value.number, dim)}`",
         )
-    elif not unit_of(dim):
+    elif not default_unit(dim):
         report.error(
             "wrong-unit",
             f"`{name}` is {expected_words}, not {dimension_words(value.dim)}",
@@ -197,17 +201,17 @@ def _dimension(scene: Scene, report: Report, value: Quantity, dim: Dim, name: st
         )
     else:
         message = f"`{name}` is {expected_words}, not {dimension_words(value.dim)}"
-        report.error("wrong-unit", message, scene.span(*path), f"write a value in `{unit_of(dim)}`")
+        report.error("wrong-unit", message, scene.span(*path), f"write a value in `{default_unit(dim)}`")
     return False
 
 
-def _crowd(scene: Scene, program: Program, report: Report) -> None:
+def _check_crowd(scene: Scene, program: Program, report: Report) -> None:
     total = 0
     for number, line in enumerate(scene.model.crowd):
         total += line.count
         if line.species not in program.species:
-            _unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
-        _placement(scene, program, report, line.place, "crowd", number, "place")
+            _report_unknown(report, scene, ("crowd", number, "species"), "no program has a species", program.species, key=False)
+        _check_placement(scene, program, report, line.place, "crowd", number, "place")
         if line.walk is not None and not any(line.walk.direction):
             where = scene.span("crowd", number, "walk", "direction")
             report.error("wrong-value", "`[0, 0, 0]` leads nowhere", where, "write a direction, such as `[1, 0, 0]`")
@@ -230,30 +234,30 @@ def item_names(scene: Scene) -> dict[str, tuple[str, str]]:
     return names
 
 
-def _around(scene: Scene, report: Report, around: object, radius: object, *path: Key) -> None:
-    if isinstance(around, str) and around not in item_names(scene) and not scene.model.items_come_later:
-        _unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
+def _check_around(scene: Scene, report: Report, around: object, radius: object, *path: Key) -> None:
+    if isinstance(around, str) and around not in item_names(scene) and not scene.model.has_usd_items:
+        _report_unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
     if around is not None and radius is None:
         at = scene.span(*path, "around", key=True)
         report.error("missing-key", "`around` says nothing without `radius`", at, "add `radius: 50 mm`")
 
 
-def _placement(scene: Scene, program: Program, report: Report, place: Placement, *path: Key) -> None:
-    grounds = _surfaces(program, "solid")
+def _check_placement(scene: Scene, program: Program, report: Report, place: Placement, *path: Key) -> None:
+    grounds = _surface_names(program, "solid")
     if place.on is not None and place.on not in grounds:
-        _unknown(report, scene, (*path, "on"), "no surface is named", grounds, key=False)
+        _report_unknown(report, scene, (*path, "on"), "no surface is named", grounds, key=False)
     if place.points is not None:
         if isinstance(place.points, UsdPlaces):
-            _file(scene, report, place.points.usd, *path, "points", "usd")
+            _check_file(scene, report, place.points.usd, *path, "points", "usd")
         else:
-            _file(scene, report, place.points, *path, "points")
+            _check_file(scene, report, place.points, *path, "points")
         if place.around is not None:
             words = "agents are placed at points or around a place, not both"
             report.error("wrong-value", words, scene.span(*path, "around", key=True), "keep one of them")
     if place.density is not None:
         maps = [name for name, thing in program.world.items() if thing.kind == "map"]
         if place.density not in maps:
-            _unknown(report, scene, (*path, "density"), "no map is named", maps, key=False)
+            _report_unknown(report, scene, (*path, "density"), "no map is named", maps, key=False)
     used_keys = [name for name in ("points", "around", "radius", "density") if getattr(place, name) is not None]
     for method in ("density", "inside"):
         other = [name for name in used_keys if name != method]
@@ -271,39 +275,39 @@ def _placement(scene: Scene, program: Program, report: Report, place: Placement,
         what, addition = ("inside", "") if place.inside is not None else ("by `density` from above", ", or add `by: area`")
         advice = f"write a length, such as `apart: 10 mm`{addition}"
         report.error("wrong-value", f"how much room there is {what} is not known", scene.span(*path, "apart", key=True), advice)
-    _around(scene, report, place.around, place.radius, *path)
+    _check_around(scene, report, place.around, place.radius, *path)
 
 
-def _params(scene: Scene, program: Program, report: Report) -> None:
+def _check_params(scene: Scene, program: Program, report: Report) -> None:
     for name, value in scene.model.set.items():
         check_param(scene, program, report, name, value, "set", name)
 
 
 def check_param(scene: Scene, program: Program, report: Report, name: str, value: Quantity, *path: Key) -> None:
     """Check the value of a param, or of a field's setting, against its declaration: name, dimension, range."""
-    dim = field_settings.dimension(program, name)
+    dim = field_settings.setting_dimension(program, name)
     if dim is not None:
-        advice = field_settings.refused(name, value)
-        if _dimension(scene, report, value, dim, name, *(path or ("antdsl",))) and advice:
+        advice = field_settings.refusal_help(name, value)
+        if _check_dimension(scene, report, value, dim, name, *(path or ("antdsl",))) and advice:
             place = scene.span(*path) if path else None
             report.error("out-of-range", f"`{name}` cannot be {value.text}", place, advice)
         return
     if name not in program.params:
-        known = [*program.params, *field_settings.settable(program)]
+        known = [*program.params, *field_settings.settable_names(program)]
         if path:
-            _unknown(report, scene, path, "no program has a param", known)
+            _report_unknown(report, scene, path, "no program has a param", known)
         else:
             near = nearest_name(name, known)
             report.error("unknown-thing", f"no program has a param `{name}`", None, f"did you mean `{near}`?" if near else None)
         return
     param = program.params[name]
-    if not _dimension(scene, report, value, param.type.dim, name, *(path or ("antdsl",))):
+    if not _check_dimension(scene, report, value, param.type.dim, name, *(path or ("antdsl",))):
         return
-    number = value.base(scene.model.unit_mm, float(1 / scene.model.fps))
-    low, high = (None if bound is None else const_base(bound, scene) for bound in (param.low, param.high))
+    number = value.to_base_units(scene.model.unit_mm, float(1 / scene.model.fps))
+    low, high = (None if bound is None else const_in_base_units(bound, scene) for bound in (param.low, param.high))
     slack = 1e-9 * max(abs(number), 1e-30)
     if (low is not None and number < low - slack) or (high is not None and number > high + slack):
-        ends = [_bound(bound, name) for bound in (param.low, param.high)]
+        ends = [_bound_text(bound, name) for bound in (param.low, param.high)]
         message = f"`{name}` = {value.text} is outside {ends[0]} .. {ends[1]}"
         place = scene.span(*path) if path else None
         report.error(
@@ -311,17 +315,17 @@ def check_param(scene: Scene, program: Program, report: Report, name: str, value
         )
 
 
-def _bound(bound: Const | None, name: str) -> str:
+def _bound_text(bound: Const | None, name: str) -> str:
     if bound is None:
         return "…"
     return bound.span.text if 0 < len(bound.span.text) < 40 else format_number(bound.number)
 
 
-def _fields(scene: Scene, program: Program, report: Report) -> None:
+def _check_fields(scene: Scene, program: Program, report: Report) -> None:
     for name, start in scene.model.fields.items():
         if name not in program.fields:
-            _unknown(report, scene, ("fields", name), "no program has a field", program.fields)
-        _around(scene, report, start.around, start.radius, "fields", name)
+            _report_unknown(report, scene, ("fields", name), "no program has a field", program.fields)
+        _check_around(scene, report, start.around, start.radius, "fields", name)
 
 
 def layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str] | None, list[int]]:
@@ -341,10 +345,10 @@ def layer_order(scene: Scene, program: Program, species: str) -> tuple[list[str]
     return (order if not wrong and len(order) == len(layers) else None), wrong
 
 
-def _layers(scene: Scene, program: Program, report: Report) -> None:
+def _check_layers(scene: Scene, program: Program, report: Report) -> None:
     for name in scene.model.layers:
         if name not in program.species:
-            _unknown(report, scene, ("layers", name), "no program has a species", program.species)
+            _report_unknown(report, scene, ("layers", name), "no program has a species", program.species)
             continue
         texts = [layer.text for layer in program.species[name].layers.layers]
         order, wrong = layer_order(scene, program, name)
@@ -362,7 +366,7 @@ def _layers(scene: Scene, program: Program, report: Report) -> None:
             )
 
 
-def _detail(scene: Scene, program: Program, report: Report) -> None:
+def _check_detail(scene: Scene, program: Program, report: Report) -> None:
     lod = scene.model.lod
     if lod is None:
         return
@@ -375,25 +379,25 @@ def _detail(scene: Scene, program: Program, report: Report) -> None:
         report.error("wrong-value", "`far` is nearer than `near`", scene.span("lod", "far"), "write the greater distance")
 
 
-def _output(scene: Scene, program: Program, report: Report) -> None:
+def _check_output(scene: Scene, program: Program, report: Report) -> None:
     known = set(FRAME_ATTRIBUTES)
     for species in program.species.values():
         known |= {attribute.name for attribute in species.attributes if attribute.type.kind is Kind.NUMBER}
         known |= {f"{machine.name}.state" for machine in species.machines}
     for number, name in enumerate(scene.model.output.attributes):
         if name not in known:
-            _unknown(report, scene, ("output", "attributes", number), "no attribute is named", known, key=False)
+            _report_unknown(report, scene, ("output", "attributes", number), "no attribute is named", known, key=False)
 
 
 CHECKS: tuple[Callable[[Scene, Program, Report], None], ...] = (
-    _world,  # what `around` and `on` name is in here
-    _crowd,
+    _check_world,  # what `around` and `on` name is in here
+    _check_crowd,
     bodies,
-    absent_species,
-    _params,
-    _fields,
-    spreading,
-    _layers,
-    _detail,
-    _output,
+    check_absent_species,
+    _check_params,
+    _check_fields,
+    check_spreading,
+    _check_layers,
+    _check_detail,
+    _check_output,
 )

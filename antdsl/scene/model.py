@@ -28,9 +28,9 @@ from antdsl.scene.values import (
     PositiveTime,
     Word,
     integer,
+    make_error,
     number,
     one_of,
-    refuse,
 )
 from antdsl.scene.values import Part as Part
 from antdsl.scene.values import PlaceKey as PlaceKey
@@ -170,11 +170,11 @@ class TangentFlow(SpreadFlow):
     gather: Annotated[float, BeforeValidator(number(0, 10))] = 0.0
 
 
-def _point_or_text(value: Any) -> str:
+def _target_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "named"
 
 
-Target = Annotated[Annotated[Point, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_point_or_text)]
+Target = Annotated[Annotated[Point, Tag("point")] | Annotated[FilePath, Tag("named")], Discriminator(_target_tag)]
 
 
 class TowardFlow(SpreadFlow):
@@ -257,7 +257,7 @@ MODELS: dict[str, tuple[type, ...]] = {
 }  # fmt: skip
 
 
-def _kind_of_thing(value: Any) -> str:
+def _thing_tag(value: Any) -> str:
     keywords = (
         [word for word in THING_MODELS if word in value and not isinstance(value[word], dict)] if isinstance(value, dict) else []
     )
@@ -266,15 +266,15 @@ def _kind_of_thing(value: Any) -> str:
 
 def _items(value: Any) -> Any:
     if not isinstance(value, dict):
-        raise refuse(
+        raise make_error(
             "a thing of the world is a mapping", "write `{mesh: ground.ply}`, `{curve: way.json}` or `{apple: {at: [0, 0, 0]}}`"
         )
     for word, inner in value.items():
         near = None if isinstance(inner, dict) else nearest_name(str(word), THING_MODELS)
         if near:
-            raise refuse(f"`{word}` says of no thing of the world what it is", f"did you mean `{near}`?")
+            raise make_error(f"`{word}` says of no thing of the world what it is", f"did you mean `{near}`?")
     if value and not any(isinstance(inner, dict) for inner in value.values()):
-        raise refuse(
+        raise make_error(
             "no key says what this thing of the world is", "add one of " + ", ".join(f"`{word}`" for word in THING_MODELS)
         )
     return value
@@ -292,7 +292,7 @@ WorldThing = Annotated[
     | Annotated[SolvedFlow, Tag("solved-thing")]
     | Annotated[PaintedThing, Tag("painted-thing")]
     | Annotated[dict[Name, ItemThing], BeforeValidator(_items), Tag("items-thing")],
-    Discriminator(_kind_of_thing),
+    Discriminator(_thing_tag),
 ]
 
 
@@ -320,7 +320,7 @@ class UsdCamera(Part):
 Fit = Annotated[str, BeforeValidator(one_of("fit"))]
 
 
-def _kind_of_camera(value: Any) -> str:
+def _camera_tag(value: Any) -> str:
     if isinstance(value, str):
         return "camera-word"
     return "usd-camera" if isinstance(value, dict) and "usd" in value else "camera-here"
@@ -369,7 +369,7 @@ class SceneModel(Part):
     camera: (
         Annotated[
             Annotated[Camera, Tag("camera-here")] | Annotated[UsdCamera, Tag("usd-camera")] | Annotated[Fit, Tag("camera-word")],
-            Discriminator(_kind_of_camera),
+            Discriminator(_camera_tag),
         ]
         | None
     ) = None
@@ -382,7 +382,7 @@ class SceneModel(Part):
         return UNIT_MM[self.units]
 
     @property
-    def items_come_later(self) -> bool:
+    def has_usd_items(self) -> bool:
         """Return whether items may get their names from a USD file, which is read when the scene is staged."""
         return any(isinstance(value, UsdThing) for value in self.world.values())
 

@@ -7,25 +7,25 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from antdsl.diagnostics import Report
-from antdsl.program.expectations import Changed
+from antdsl.program.expectations import SpecChange
 from antdsl.program.model import Program
 from antdsl.program.types.folding import constant_behind
-from antdsl.scene.field_settings import with_field
+from antdsl.scene.field_settings import with_field_setting
 from antdsl.scene.load import Scene
-from antdsl.scene.matching import check_param, const_base
-from antdsl.scene.quantities import BadQuantity, Quantity, parse_quantity
+from antdsl.scene.matching import check_param, const_in_base_units
+from antdsl.scene.quantities import Quantity, QuantityError, parse_quantity
 
 if TYPE_CHECKING:
     from antdsl.scene.setting import Setting  # it brings NumPy, which a check does without
 
 
-def overrides(scene: Scene, program: Program, params: Mapping[str, str], report: Report) -> Mapping[str, Quantity]:
+def read_overrides(scene: Scene, program: Program, params: Mapping[str, str], report: Report) -> Mapping[str, Quantity]:
     """Return the values of `--set NAME=TEXT`, by name, each checked against the scene and the program."""
     quantities = {}
     for name, text in params.items():
         try:
             quantities[name] = parse_quantity(text)
-        except BadQuantity as why:
+        except QuantityError as why:
             usual = "write a number and a unit: `--set NAME=50mm`"
             report.error("wrong-value", f"`--set {name}={text}`: `{text}` {why}", None, why.help or usual)
             continue
@@ -33,18 +33,18 @@ def overrides(scene: Scene, program: Program, params: Mapping[str, str], report:
     return quantities
 
 
-def with_changed_fields(program: Program, changes: Iterable[Changed]) -> Program:
+def with_changed_fields(program: Program, changes: Iterable[SpecChange]) -> Program:
     """Return the program with the field settings that a spec changes."""
     fields = dict(program.fields)
     for change in changes:
         name, _, word = change.name.partition(".")
         if name in fields and change.name not in program.params:
-            fields[name] = with_field(fields[name], word, change.value)
+            fields[name] = with_field_setting(fields[name], word, change.value)
     return replace(program, fields=fields)
 
 
-def with_changed_params(setting: Setting, scene: Scene, program: Program, changes: Iterable[Changed]) -> Setting:
+def with_changed_params(setting: Setting, scene: Scene, program: Program, changes: Iterable[SpecChange]) -> Setting:
     """Return the setting with the params that a spec changes."""
     known = {change.name: constant_behind(change.value) for change in changes if change.name in program.params}
-    changed = {name: const_base(value, scene) for name, value in known.items() if value is not None}
+    changed = {name: const_in_base_units(value, scene) for name, value in known.items() if value is not None}
     return replace(setting, params={**setting.params, **changed}) if changed else setting

@@ -39,7 +39,7 @@ class PathRefused(Exception):
 
 
 @contextmanager
-def sought() -> Iterator[Sought]:
+def record_sought() -> Iterator[Sought]:
     """Collect all files requested through this module while the context is active, in order, whether they exist or not. Each
     comes with the root below which no link is followed, None for a file that the user named."""
     sought_files: Sought = {}
@@ -49,7 +49,7 @@ def sought() -> Iterator[Sought]:
     finally:
         _sought.reset(token)
         for path, root in sought_files.items():
-            note(path, root)  # who looks from further outside sees them too
+            record_request(path, root)  # who looks from further outside sees them too
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,14 +66,14 @@ class Roots:
         if named and len(named[1]) > 1:
             name, rest = named[1], named[2]
             if name in ("http", "https", "file", "ftp", "data"):
-                raise _refuse(text, "is an address, not a file", "copy the file beside the scene")
+                raise _make_refusal(text, "is an address, not a file", "copy the file beside the scene")
             if name not in self.granted:
                 known = ", ".join(f"`{n}:`" for n in sorted(self.granted)) or "none"
                 raise PathRefused(
                     "root-not-granted", f"no root `{name}:` is granted (granted: {known})", f"run with `--root {name}=FOLDER`"
                 )
-            return self.granted[name], _parts(text, rest)
-        return self.folder, _parts(text, text)
+            return self.granted[name], _split_path(text, rest)
+        return self.folder, _split_path(text, text)
 
     def path(self, text: str) -> Path:
         """The full path of a file, judged as text only."""
@@ -82,15 +82,15 @@ class Roots:
 
     def read(self, text: str, cap: int) -> bytes:
         """Return the bytes of a regular file of at most `cap` bytes. Raises PathRefused with the reason."""
-        return _bytes(self.open(text), text, cap)
+        return _read_all(self.open(text), text, cap)
 
     def open(self, text: str) -> int:
         """Return a handle to a regular file, which the caller must close. Raises PathRefused with the reason."""
         root, parts = self.locate(text)
-        note(root.joinpath(*parts), root)
+        record_request(root.joinpath(*parts), root)
         return _open_below(root, parts, text)
 
-    def exists(self, text: str) -> int:
+    def file_size(self, text: str) -> int:
         """Return the size of a regular file in bytes, without reading it. Raises PathRefused with the reason."""
         handle = self.open(text)
         try:
@@ -103,7 +103,7 @@ class Roots:
         if "#" not in text:
             return False
         try:
-            self.exists(text)
+            self.file_size(text)
         except PathRefused as refused:
             return refused.code == "no-such-file"
         return False
@@ -113,7 +113,7 @@ class Roots:
         zeros to as many digits. Raises PathRefused if there is none, or if the path is rejected."""
         named = _SEQUENCE.fullmatch(text)
         if named is None:
-            raise _refuse(text, "has `#` outside of its file's name, or in two places", "write `walls.####.ply`")
+            raise _make_refusal(text, "has `#` outside of its file's name, or in two places", "write `walls.####.ply`")
         root, parts = self.locate(f"{named[1]}{0:0{len(named[2])}d}{named[3]}")
         start = parts[-1][: len(parts[-1]) - len(named[2]) - len(named[3])]
         files_by_frame = {}
@@ -131,17 +131,17 @@ def read_named(path: Path, cap: int) -> bytes:
     """Return the bytes of a file that the user named on the command line. Links are followed; anything but a regular file is an
     error."""
     display_path = str(path)
-    note(path, None)
+    record_request(path, None)
     try:
         handle = open_regular(path)
     except FileNotFoundError:
         raise PathRefused("no-such-file", f"there is no file `{display_path}`") from None
     except OSError as problem:
-        raise _refused(problem, display_path) from None
-    return _bytes(handle, display_path, cap)
+        raise _make_read_refusal(problem, display_path) from None
+    return _read_all(handle, display_path, cap)
 
 
-def open_again(path: Path, root: Path | None) -> int:
+def reopen(path: Path, root: Path | None) -> int:
     """Return a handle on a regular file that was requested before; the caller closes it. Below its root no link is followed. It
     is for callers that check whether the file has changed. Raises OSError if it cannot be opened."""
     if root is None:
@@ -152,76 +152,78 @@ def open_again(path: Path, root: Path | None) -> int:
         raise OSError(str(refused)) from None
 
 
-def note(path: Path, root: Path | None) -> None:
-    """Record in an active `sought` that a file below a root is requested, or would be if its result were not cached."""
+def record_request(path: Path, root: Path | None) -> None:
+    """Record in an active `record_sought` that a file below a root is requested, or would be if its result were not cached."""
     sought_files = _sought.get()
     if sought_files is not None:
         sought_files[path] = root
 
 
-def _bytes(handle: int, display_path: str, cap: int) -> bytes:
+def _read_all(handle: int, display_path: str, cap: int) -> bytes:
     """Return all bytes of an open regular file, and close the handle. More than `cap` bytes are an error, even if the file grows
     meanwhile."""
     try:
         return read_handle(handle, cap)
     except OSError as problem:
-        raise _refused(problem, display_path) from None
+        raise _make_read_refusal(problem, display_path) from None
 
 
-def _refuse(text: str, why: str, help: str | None) -> PathRefused:
+def _make_refusal(text: str, why: str, help: str | None) -> PathRefused:
     display_text = text if len(text) <= 80 else text[:77] + "…"
     return PathRefused("bad-path", f"the path `{display_text}` {why}", help)
 
 
-def _parts(text: str, rest: str) -> tuple[str, ...]:
+def _split_path(text: str, rest: str) -> tuple[str, ...]:
     inside = "write a path below the scene's folder, such as `meshes/ground.ply`"
     granted = "put the file below the scene's folder, or grant its folder: `--root assets=FOLDER` and `assets:…`"
     if not rest or len(rest) > _PATH_CHARACTERS:
-        raise _refuse(text, "is empty" if not rest else "is too long", inside)
+        raise _make_refusal(text, "is empty" if not rest else "is too long", inside)
     if "\\" in rest:
-        raise _refuse(text, "has a backslash", "write `/` between folders")
+        raise _make_refusal(text, "has a backslash", "write `/` between folders")
     if rest.startswith("/") or re.match("[A-Za-z]:", rest):
-        raise _refuse(text, "is absolute", granted)
+        raise _make_refusal(text, "is absolute", granted)
     _check_signs(text, rest)
     parts = tuple(p for p in rest.split("/") if p != ".")
     for part in parts:
         if part == "..":
-            raise _refuse(text, "leaves its folder", granted)
+            raise _make_refusal(text, "leaves its folder", granted)
         if not part:
-            raise _refuse(text, "has a `/` with no name before or after it", inside)
+            raise _make_refusal(text, "has a `/` with no name before or after it", inside)
         if part[-1] in ". " or part[0] == " ":
             where = "begins with a blank" if part[0] == " " else f"ends with a {'dot' if part[-1] == '.' else 'blank'}"
-            raise _refuse(text, f"has a name that {where}, which Windows drops", f"rename `{part}`")
+            raise _make_refusal(text, f"has a name that {where}, which Windows drops", f"rename `{part}`")
         if part.split(".")[0].rstrip(" ").lower() in _DEVICES:
-            raise _refuse(text, "names a device", f"rename `{part}`: Windows has a device of that name")
+            raise _make_refusal(text, "names a device", f"rename `{part}`: Windows has a device of that name")
     if not parts:
-        raise _refuse(text, "names no file", inside)
+        raise _make_refusal(text, "names no file", inside)
     return parts
 
 
 def _check_signs(text: str, rest: str) -> None:
     """Raise PathRefused if a path has characters that are invalid in file names on some system, or that a shell would expand."""
     if rest.startswith("~"):
-        raise _refuse(text, "begins with `~`, which is not expanded here", "write a path below the scene's folder, or `./~…`")
+        raise _make_refusal(
+            text, "begins with `~`, which is not expanded here", "write a path below the scene's folder, or `./~…`"
+        )
     if match := _COUNTER.search(rest):
-        raise _refuse(text, f"has `{match[0]}`, which is not expanded here", "write `####` for the number of a frame")
+        raise _make_refusal(text, f"has `{match[0]}`, which is not expanded here", "write `####` for the number of a frame")
     if match := _VARIABLE.search(rest):
         help = "write the path below the scene's folder, or rename a file that is called so"
-        raise _refuse(text, f"has `{match[0]}`, and variables are not expanded here", help)
+        raise _make_refusal(text, f"has `{match[0]}`, and variables are not expanded here", help)
     for sign in rest:
         display_sign = "a backtick" if sign == "`" else f"`{sign}`"
         if sign in _WINDOWS_SIGNS:
-            raise _refuse(
+            raise _make_refusal(
                 text, f"has {display_sign}, which no name on Windows can have", f"rename the file without {display_sign}"
             )
         if sign in _PATTERN_SIGNS:
             help = f"name one file; rename a file that has {display_sign} in its name"
-            raise _refuse(text, f"has {display_sign}, and patterns are not expanded here", help)
+            raise _make_refusal(text, f"has {display_sign}, and patterns are not expanded here", help)
         if unicodedata.category(sign) in _UNSEEN:
-            raise _refuse(text, f"has a character that cannot be seen, U+{ord(sign):04X}", "rename the file without it")
+            raise _make_refusal(text, f"has a character that cannot be seen, U+{ord(sign):04X}", "rename the file without it")
 
 
-def _refused(problem: OSError, display_path: str) -> PathRefused:
+def _make_read_refusal(problem: OSError, display_path: str) -> PathRefused:
     """Why a file that is there is not read."""
     if isinstance(problem, NotRegular):
         return PathRefused("not-a-file", f"`{display_path}` is {problem.kind}", "name a file")
@@ -238,17 +240,17 @@ def _open_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         full_path = root.joinpath(*parts)
         if not full_path.resolve().is_relative_to(root.resolve()):
-            raise _refuse(display_path, "leaves its folder by a link", None)
+            raise _make_refusal(display_path, "leaves its folder by a link", None)
         try:
             return open_regular(full_path)
         except OSError as problem:
-            raise _why_not(problem, os.fspath(full_path.parent), display_path) from None
+            raise _find_refusal(problem, os.fspath(full_path.parent), display_path) from None
     folder = _folder_below(root, parts[:-1], display_path)
     try:
-        _exact_name(folder, parts[-1], display_path)
+        _check_exact_name(folder, parts[-1], display_path)
         return open_regular(parts[-1], follow=False, folder=folder)
     except OSError as problem:
-        raise _why_not(problem, folder, display_path) from None
+        raise _find_refusal(problem, folder, display_path) from None
     finally:
         os.close(folder)
 
@@ -261,11 +263,11 @@ def _folder_below(root: Path, parts: tuple[str, ...], display_path: str) -> int:
         raise PathRefused("no-such-file", f"there is no folder `{root}`") from None
     try:
         for part in parts:
-            _exact_name(opened[-1], part, display_path)
+            _check_exact_name(opened[-1], part, display_path)
             opened.append(os.open(part, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW, dir_fd=opened[-1]))
         return opened.pop()
     except OSError as problem:
-        raise _why_not(problem, opened[-1], display_path) from None
+        raise _find_refusal(problem, opened[-1], display_path) from None
     finally:
         for handle in opened:
             os.close(handle)
@@ -276,7 +278,7 @@ def _names_below(root: Path, parts: tuple[str, ...], display_path: str) -> list[
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         full_path = root.joinpath(*parts)
         if not full_path.resolve().is_relative_to(root.resolve()) or not full_path.is_dir():
-            raise _refuse(display_path, "leaves its folder by a link, or names none", None)
+            raise _make_refusal(display_path, "leaves its folder by a link, or names none", None)
         return os.listdir(full_path)
     folder = _folder_below(root, parts, display_path)
     try:
@@ -285,7 +287,7 @@ def _names_below(root: Path, parts: tuple[str, ...], display_path: str) -> list[
         os.close(folder)
 
 
-def _exact_name(folder: int, part: str, display_path: str) -> None:
+def _check_exact_name(folder: int, part: str, display_path: str) -> None:
     """Raise an error for a name that differs by case from the file's own: only a case-insensitive file system would find it."""
     if _is_exact(folder, part):
         return
@@ -317,7 +319,7 @@ def _is_exact(folder: int, part: str) -> bool:
     return False
 
 
-def _why_not(problem: OSError, folder: int | str, display_path: str) -> PathRefused:
+def _find_refusal(problem: OSError, folder: int | str, display_path: str) -> PathRefused:
     import errno
 
     if problem.errno == errno.ENOENT:
@@ -329,4 +331,4 @@ def _why_not(problem: OSError, folder: int | str, display_path: str) -> PathRefu
         return PathRefused(
             "bad-path", f"a part of `{display_path}` is a link or no folder; links are not followed", "name the file itself"
         )
-    return _refused(problem, display_path)
+    return _make_read_refusal(problem, display_path)

@@ -10,12 +10,12 @@ from antdsl import limits
 from antdsl.program.model import Dim
 from antdsl.program.tables.units import measure
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.number_slips import WITH_COMMAS, comma_in_number
+from antdsl.syntax.mistakes.number_slips import WITH_COMMAS, comma_diagnostic
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
 
 
-class BadQuantity(ValueError):
+class QuantityError(ValueError):
     """Why a text is not a quantity, in words that fit after that text. `help`: what to write, if known."""
 
     def __init__(self, message: str, help: str = "") -> None:
@@ -36,16 +36,16 @@ class Quantity:
     step: float = 0
 
     @property
-    def bare(self) -> bool:
+    def is_bare(self) -> bool:
         return not self.unit
 
-    def base(self, unit_mm: float, dt: float) -> float:
+    def to_base_units(self, unit_mm: float, dt: float) -> float:
         """The value in base units."""
         return float(self.number * unit_mm**self.u * dt**self.step)
 
     def length(self, unit_mm: float) -> float:
         """Return millimetres; a number without a unit is in scene units. Only for values that were checked to be lengths."""
-        return float(self.number * unit_mm if self.bare else self.number * unit_mm**self.u)
+        return float(self.number * unit_mm if self.is_bare else self.number * unit_mm**self.u)
 
 
 def parse_number(text: str) -> float:
@@ -53,12 +53,12 @@ def parse_number(text: str) -> float:
     text = text.strip()
     _refuse_comma(text)
     if not _NUMBER.fullmatch(text):
-        raise BadQuantity("is not a number")
+        raise QuantityError("is not a number")
     if sum(c.isdigit() for c in text) > limits.NUMBER_DIGITS:
-        raise BadQuantity(f"has more than {limits.NUMBER_DIGITS} digits")
+        raise QuantityError(f"has more than {limits.NUMBER_DIGITS} digits")
     value = float(text)
     if not isfinite(value) or (value == 0 and re.search(r"[1-9]", re.split("[eE]", text)[0])):
-        raise BadQuantity("is not representable")
+        raise QuantityError("is not representable")
     return value
 
 
@@ -68,17 +68,17 @@ def parse_quantity(text: str) -> Quantity:
     _refuse_comma(text)
     match = _NUMBER.match(text)
     if not match:
-        raise BadQuantity("is not a number with a unit")
+        raise QuantityError("is not a number with a unit")
     number = parse_number(match[0])
     unit = text[match.end() :].strip()
     if not unit:
         return Quantity(number, Dim(), "", text)
     known = measure(unit)
     if known is None:
-        raise BadQuantity(f"has an unknown unit `{unit}`")
+        raise QuantityError(f"has an unknown unit `{unit}`")
     value = number * known.factor
     if not isfinite(value):
-        raise BadQuantity("is not representable")
+        raise QuantityError("is not representable")
     return Quantity(value, known.dim, unit, text, known.u, known.step)
 
 
@@ -87,6 +87,6 @@ def _refuse_comma(text: str) -> None:
     match = WITH_COMMAS.match(text.lstrip("+-"))
     if match is not None:
         start = len(text) - len(text.lstrip("+-"))
-        diagnostic = comma_in_number(Span(Source("", text), start, start + match.end()))
+        diagnostic = comma_diagnostic(Span(Source("", text), start, start + match.end()))
         better = None if diagnostic.fix is None else text[:start] + diagnostic.fix.text + text[start + match.end() :]
-        raise BadQuantity("has a comma in its number", f"write `{better}`" if better else diagnostic.help or "")
+        raise QuantityError("has a comma in its number", f"write `{better}`" if better else diagnostic.help or "")

@@ -303,7 +303,7 @@ class Setting:
         return self.fps.denominator / self.fps.numerator  # queried many times a step: a Fraction takes ten times as long
 
     @property
-    def begun_with(self) -> dict[str, frozenset[str]]:
+    def initial_attributes(self) -> dict[str, frozenset[str]]:
         """Return, by species, the attributes that the places of its crowds set at birth."""
         attributes: dict[str, frozenset[str]] = {}
         for crowd in self.crowds:

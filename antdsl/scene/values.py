@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 from antdsl import limits
 from antdsl.program.model import Dim
 from antdsl.program.tables.units import dimension_words, with_unit
-from antdsl.scene.quantities import BadQuantity, Quantity, parse_number, parse_quantity
+from antdsl.scene.quantities import Quantity, QuantityError, parse_number, parse_quantity
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _WORD_CHARACTERS = 1000
@@ -26,7 +26,7 @@ LARGEST = {LENGTH: limits.SCENE_LENGTH, ANGLE: limits.SCENE_ANGLE, TIME: limits.
 BASE_UNITS = {LENGTH: "mm", ANGLE: "rad", TIME: "s", SPEED: "mm/s"}
 
 
-def refuse(message: str, help: str = "") -> PydanticCustomError:
+def make_error(message: str, help: str = "") -> PydanticCustomError:
     """Return an error with its message unchanged, including braces."""
     return PydanticCustomError("scene", "{words}", {"words": message, "help": help})
 
@@ -37,11 +37,11 @@ def _describe(value: Any) -> str:
     return "a list" if isinstance(value, list) else "a mapping"
 
 
-def _text(value: Any, expected: str) -> str:
+def _require_text(value: Any, expected: str) -> str:
     if not isinstance(value, str):
-        raise refuse(f"expected {expected} here, not {_describe(value)}")
+        raise make_error(f"expected {expected} here, not {_describe(value)}")
     if not value.strip():
-        raise refuse(f"expected {expected} here, but nothing is given")
+        raise make_error(f"expected {expected} here, but nothing is given")
     return value.strip()
 
 
@@ -49,57 +49,57 @@ def integer(low: int, high: int) -> Callable[[Any], int]:
     """Return a parser for a whole number in decimal digits between two bounds."""
 
     def read(value: Any) -> int:
-        text = _text(value, "a whole number")
+        text = _require_text(value, "a whole number")
         if not re.fullmatch(r"[+-]?[0-9]{1,20}", text, re.ASCII):
-            raise refuse(f"{_describe(text)} is not a whole number", f"write digits only, {low} to {high}")
+            raise make_error(f"{_describe(text)} is not a whole number", f"write digits only, {low} to {high}")
         if not low <= int(text) <= high:
-            raise refuse(f"`{int(text)}` is not between {low} and {high}")
+            raise make_error(f"`{int(text)}` is not between {low} and {high}")
         return int(text)
 
     return read
 
 
-def _quantity(value: Any) -> Quantity:
-    text = _text(value, "a number")
+def _parse_quantity_value(value: Any) -> Quantity:
+    text = _require_text(value, "a number")
     try:
         quantity = parse_quantity(text)
-    except BadQuantity as why:
+    except QuantityError as why:
         usual = "write a number and a unit of mm cm m u s min step rad deg turn mg g kg N uN %"
-        raise refuse(f"{_describe(text)} {why}", why.help or usual) from None
-    return _within(quantity, limits.SCENE_NUMBER)
+        raise make_error(f"{_describe(text)} {why}", why.help or usual) from None
+    return _limit_quantity(quantity, limits.SCENE_NUMBER)
 
 
-def _within(quantity: Quantity, largest: float, unit: str = "") -> Quantity:
+def _limit_quantity(quantity: Quantity, largest: float, unit: str = "") -> Quantity:
     """Return the same quantity. An error if it is larger than a scene may have."""
     if abs(quantity.number) > largest:
-        raise refuse(f"{_describe(quantity.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}")
+        raise make_error(f"{_describe(quantity.text)} is too large", f"write a number from {-largest:g} to {largest:g}{unit}")
     return quantity
 
 
-def of_dim(dim: Dim) -> Callable[[Any], Quantity]:
+def quantity_of(dim: Dim) -> Callable[[Any], Quantity]:
     """Return a parser for quantities of one dimension. A bare number is in the scene's own unit (degrees for an angle)."""
 
     def read(value: Any) -> Quantity:
-        quantity = _quantity(value)
-        if quantity.bare and dim == ANGLE:
+        quantity = _parse_quantity_value(value)
+        if quantity.is_bare and dim == ANGLE:
             quantity = parse_quantity(f"{quantity.text} deg")
-        if quantity.dim != dim and not quantity.bare:
-            raise refuse(f"`{quantity.text}` is not {dimension_words(dim)}", f"write `{with_unit(50, dim)}`")
-        return _within(quantity, LARGEST[dim], f" {BASE_UNITS[dim]}")
+        if quantity.dim != dim and not quantity.is_bare:
+            raise make_error(f"`{quantity.text}` is not {dimension_words(dim)}", f"write `{with_unit(50, dim)}`")
+        return _limit_quantity(quantity, LARGEST[dim], f" {BASE_UNITS[dim]}")
 
     return read
 
 
 def positive(dim: Dim) -> Callable[[Any], Quantity]:
-    """As `of_dim`, and above zero."""
-    inner = of_dim(dim)
+    """As `quantity_of`, and above zero."""
+    inner = quantity_of(dim)
 
     def read(value: Any) -> Quantity:
         quantity = inner(value)
         if quantity.number <= 0:
-            raise refuse(f"`{quantity.text}` is not above zero")
+            raise make_error(f"`{quantity.text}` is not above zero")
         if quantity.number < limits.SCENE_LEAST:
-            raise refuse(f"`{quantity.text}` is too small", f"write at least {limits.SCENE_LEAST:g} {BASE_UNITS[dim]}")
+            raise make_error(f"`{quantity.text}` is too small", f"write at least {limits.SCENE_LEAST:g} {BASE_UNITS[dim]}")
         return quantity
 
     return read
@@ -109,22 +109,22 @@ def number(low: float, high: float) -> Callable[[Any], float]:
     """A plain decimal number between two bounds."""
 
     def read(value: Any) -> float:
-        text = _text(value, "a number")
+        text = _require_text(value, "a number")
         try:
             parsed_number = parse_number(text)
-        except BadQuantity as why:
-            raise refuse(f"{_describe(text)} {why}", why.help) from None
+        except QuantityError as why:
+            raise make_error(f"{_describe(text)} {why}", why.help) from None
         if not low <= parsed_number <= high:
-            raise refuse(f"`{text}` is not between {low:g} and {high:g}")
+            raise make_error(f"`{text}` is not between {low:g} and {high:g}")
         return parsed_number
 
     return read
 
 
-def _name(value: Any) -> str:
-    text = _text(value, "a name")
+def _check_name(value: Any) -> str:
+    text = _require_text(value, "a name")
     if not _NAME.fullmatch(text) or len(text) > limits.NAME_CHARACTERS:
-        raise refuse(f"{_describe(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
+        raise make_error(f"{_describe(text)} is not a name", "names have letters, digits and `_`, and begin with a letter")
     return text
 
 
@@ -134,31 +134,31 @@ def one_of(*words: str) -> Callable[[Any], str]:
     def read(value: Any) -> str:
         from antdsl.diagnostics.suggestion import nearest_name
 
-        text = _text(value, "a word")
+        text = _require_text(value, "a word")
         if text not in words:
             near = nearest_name(text, words)
             listed = ", ".join(f"`{w}`" for w in words)
-            raise refuse(f"{_describe(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of them")
+            raise make_error(f"{_describe(text)} is none of {listed}", f"did you mean `{near}`?" if near else "write one of them")
         return text
 
     return read
 
 
-def _fps(value: Any) -> Fraction:
-    text = _text(value, "a number of frames a second")
+def _parse_fps(value: Any) -> Fraction:
+    text = _require_text(value, "a number of frames a second")
     if not re.fullmatch(r"[0-9]{1,7}(\.[0-9]{1,6}|/[0-9]{1,7})?", text, re.ASCII) or text.endswith("/0"):
-        raise refuse(f"{_describe(text)} is not a number of frames a second", "write `24`, `23.976` or `24000/1001`")
+        raise make_error(f"{_describe(text)} is not a number of frames a second", "write `24`, `23.976` or `24000/1001`")
     try:
         rate = Fraction(text)
     except ZeroDivisionError:
-        raise refuse(f"{_describe(text)} divides by zero", "write `24000/1001`") from None
+        raise make_error(f"{_describe(text)} divides by zero", "write `24000/1001`") from None
     # what people write as 23.976 or 29.97 is a rate of the form N·1000/1001
     for nominal in (24, 30, 48, 60, 120):
         exact = Fraction(nominal * 1000, 1001)
         if "." in text and abs(rate - exact) < Fraction(1, 200):
             rate = exact
     if not 1 <= rate <= limits.FPS:
-        raise refuse(f"`{text}` frames a second is not between 1 and {limits.FPS}")
+        raise make_error(f"`{text}` frames a second is not between 1 and {limits.FPS}")
     return rate
 
 
@@ -179,30 +179,30 @@ def parse_frames(text: str) -> FrameRange:
     if not match:
         other = _OTHER_RANGE.fullmatch(text.strip())
         ends = sorted((int(other[1]), int(other[2]))) if other else []
-        raise BadQuantity("is not a range of frames", f"write `{ends[0]}..{ends[1]}`" if ends else "")
+        raise QuantityError("is not a range of frames", f"write `{ends[0]}..{ends[1]}`" if ends else "")
     first = int(match[1])
     last = int(match[2]) if match[2] is not None else first
     if last < first:
-        raise BadQuantity("ends before it begins")
+        raise QuantityError("ends before it begins")
     if last - first >= limits.FRAMES:
-        raise BadQuantity(f"has more than {limits.FRAMES:,} frames")
+        raise QuantityError(f"has more than {limits.FRAMES:,} frames")
     return FrameRange(first, last)
 
 
-def _frames(value: Any) -> FrameRange:
+def _parse_frame_range(value: Any) -> FrameRange:
     text = ",".join(value) if isinstance(value, list) and all(isinstance(v, str) for v in value) else value
-    text = _text(text, "a range of frames")
+    text = _require_text(text, "a range of frames")
     try:
         return parse_frames(text)
-    except BadQuantity as why:
+    except QuantityError as why:
         usual = "write the first and the last with two dots between: `1001..1240`"
-        raise refuse(f"{_describe(text)} {why}", why.help or usual) from None
+        raise make_error(f"{_describe(text)} {why}", why.help or usual) from None
 
 
-def _path(value: Any) -> str:
-    text = _text(value, "the path of a file")
+def _check_path(value: Any) -> str:
+    text = _require_text(value, "the path of a file")
     if text != value:
-        raise refuse(f"the path {_describe(value)} begins or ends with a blank", f"write `{text}`")
+        raise make_error(f"the path {_describe(value)} begins or ends with a blank", f"write `{text}`")
     return text
 
 
@@ -210,32 +210,32 @@ def word_or_file(*words: str) -> Callable[[Any], str]:
     """Return a parser for one word of a closed list, or the path of a file, which has a dot or a slash."""
 
     def read(value: Any) -> str:
-        text = _text(value, "a word, or the path of a file,")
+        text = _require_text(value, "a word, or the path of a file,")
         if "." in text or "/" in text:
-            return _path(value)
+            return _check_path(value)
         if text not in words:
             from antdsl.diagnostics.suggestion import nearest_name
 
             near, listed = nearest_name(text, words), ", ".join(f"`{each}`" for each in words)
             help = f"did you mean `{near}`?" if near else f"write one of them, or a file such as `{text[:40]}.glb`"
-            raise refuse(f"{_describe(text)} is none of {listed}, and no file", help)
+            raise make_error(f"{_describe(text)} is none of {listed}, and no file", help)
         return text
 
     return read
 
 
-def _word(value: Any) -> str:
-    text = _text(value, "a word")
+def _check_word(value: Any) -> str:
+    text = _require_text(value, "a word")
     if len(text) > _WORD_CHARACTERS:
-        raise refuse(f"{_describe(text)} is too long")
+        raise make_error(f"{_describe(text)} is too long")
     return text
 
 
-Word = Annotated[str, BeforeValidator(_word)]
-Name = Annotated[str, BeforeValidator(_name)]
-FilePath = Annotated[str, BeforeValidator(_path)]
-AnyQuantity = Annotated[Quantity, BeforeValidator(_quantity)]
-Length = Annotated[Quantity, BeforeValidator(of_dim(LENGTH))]
+Word = Annotated[str, BeforeValidator(_check_word)]
+Name = Annotated[str, BeforeValidator(_check_name)]
+FilePath = Annotated[str, BeforeValidator(_check_path)]
+AnyQuantity = Annotated[Quantity, BeforeValidator(_parse_quantity_value)]
+Length = Annotated[Quantity, BeforeValidator(quantity_of(LENGTH))]
 
 
 def word_or(word: str, other: Callable[[Any], Quantity]) -> Callable[[Any], Quantity | str]:
@@ -246,9 +246,9 @@ def word_or(word: str, other: Callable[[Any], Quantity]) -> Callable[[Any], Quan
 PositiveLength = Annotated[Quantity, BeforeValidator(positive(LENGTH))]
 PositiveSpeed = Annotated[Quantity, BeforeValidator(positive(SPEED))]
 PositiveTime = Annotated[Quantity, BeforeValidator(positive(TIME))]
-Angle = Annotated[Quantity, BeforeValidator(of_dim(ANGLE))]
-Fps = Annotated[Fraction, BeforeValidator(_fps)]
-Frames = Annotated[FrameRange, BeforeValidator(_frames)]
+Angle = Annotated[Quantity, BeforeValidator(quantity_of(ANGLE))]
+Fps = Annotated[Fraction, BeforeValidator(_parse_fps)]
+Frames = Annotated[FrameRange, BeforeValidator(_parse_frame_range)]
 
 
 Point = tuple[Length, Length, Length]
@@ -272,8 +272,8 @@ class PlaceKey(Part):
 Keys = dict[Annotated[int, BeforeValidator(integer(-limits.FRAMES, limits.FRAMES * 1000))], PlaceKey]
 
 
-def _point_or_name(value: Any) -> str:
+def _place_tag(value: Any) -> str:
     return "point" if isinstance(value, list) else "named"
 
 
-PointOrName = Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_point_or_name)]
+PointOrName = Annotated[Annotated[Point, Tag("point")] | Annotated[Name, Tag("named")], Discriminator(_place_tag)]

@@ -21,16 +21,16 @@ from antdsl.machine_code.kernels import (
     I64,
     Array1,
     Array2,
-    consecutive,
     independent,
     inlined,
     kernel,
+    load_consecutive,
     nearest_integer,
 )
 from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
 from antdsl.numerics.host import cores
-from antdsl.numerics.sorting import place_among, stable_order
+from antdsl.numerics.sorting import lower_bound, stable_order
 
 Floats = NDArray[np.float32]
 Positions = tuple[Floats, Floats, Floats]
@@ -77,7 +77,7 @@ class Shape:
         return cls(axes, low, extent, [fine, width, width], size)
 
     @property
-    def cells(self) -> int:
+    def cell_count(self) -> int:
         return self.size[0] * self.size[1] * self.size[2]
 
     @property
@@ -86,9 +86,9 @@ class Shape:
         a, b, c = self.width
         return 1 / a, 1 / b, 1 / c
 
-    def listed(self, agents: int) -> bool:
+    def has_cell_table(self, agents: int) -> bool:
         """Return whether the cells are few enough for a table of them, for a number of agents."""
-        return self.cells <= max(1 << 16, 16 * agents)
+        return self.cell_count <= max(1 << 16, 16 * agents)
 
     def as_sheet(self) -> Shape:
         """Return the shape with a single layer of cells along the shortest axis."""
@@ -100,10 +100,10 @@ class Shape:
         if not self.extent[2] > 0:
             return False  # one layer of cells already
         occupied = np.zeros((2, max(1 << 16, 64 * len(positions[0]))), np.bool_)
-        return bool(_is_sheet(along(self.axes, positions), tuple(self.low), self.inverse, tuple(self.size), occupied))
+        return bool(_is_sheet(reorder_axes(self.axes, positions), tuple(self.low), self.inverse, tuple(self.size), occupied))
 
 
-def along(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any, ...]:
+def reorder_axes(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any, ...]:
     """Return arrays of x, y and z in the order fast, middle and slow axis."""
     a, b, c = axes
     return positions[a], positions[b], positions[c]
@@ -112,7 +112,7 @@ def along(axes: tuple[int, ...], positions: tuple[Any, ...]) -> tuple[Any, ...]:
 def box_around(positions: Positions) -> tuple[list[float], list[float]]:
     """Return the corners of the bounding box of all finite positions (float32[n] mm); zeros if there are none."""
     ends = np.empty((2, 3))
-    _box(*positions, np.empty((6, WIDTH), np.float32), ends)
+    _fill_box(*positions, np.empty((6, WIDTH), np.float32), ends)
     low, high = ends.tolist()
     return low, high
 
@@ -152,25 +152,29 @@ class CellOrder:
         """Sort agents at positions (float32[n] mm) into cells. Within a cell they are in row order, or in an `order` of all
         agents."""
         if shape is not self.shape:
-            self._take_shape(shape)
+            self._set_shape(shape)
         counts, keys = self._counts, self._keys
-        in_chunks(partial(_count, along(shape.axes, positions), *self._cells, order, keys, counts), self._chunks, self.threads)
+        run_in_chunks(
+            partial(_count_cells, reorder_axes(shape.axes, positions), *self._cells, order, keys, counts),
+            self._chunks,
+            self.threads,
+        )
         if counts.size:
-            add_up(counts, shape.cells)
+            accumulate_counts(counts, shape.cell_count)
         else:
             by_cell = stable_order(keys)
             order = order.take(by_cell) if order.size else by_cell
             self.keys = keys.take(by_cell)
             self.tables = {**self.tables, "keys": self.keys}
-        in_chunks(partial(_put, positions, order, keys, counts, *self._put), self._chunks, self.threads)
-        parallel.in_parts(partial(_columns, self._flat, *self.columns), self.count, self.threads, parallel.LIGHT)
+        run_in_chunks(partial(_store_agents, positions, order, keys, counts, *self._put), self._chunks, self.threads)
+        parallel.in_parts(partial(_store_columns, self._flat, *self.columns), self.count, self.threads, parallel.LIGHT)
 
-    def _take_shape(self, shape: Shape) -> None:
+    def _set_shape(self, shape: Shape) -> None:
         """Store the cell counts of a shape, and allocate a table of the cells."""
         self.shape, self._cells = shape, (tuple(shape.low), shape.inverse, tuple(shape.size), 0)
         self._floats[:] = *shape.low, *shape.width, *shape.inverse
         self._whole[:] = *shape.axes, *shape.size, self.count
-        listed, needed = shape.listed(self.count), shape.cells + SPARE
+        listed, needed = shape.has_cell_table(self.count), shape.cell_count + SPARE
         if listed and self._table.shape[1] < needed:
             self._table = np.empty((self._chunks, needed + (needed >> 3)), np.int32)
         self._counts = self._table if listed else self._table[:, :0]
@@ -178,14 +182,14 @@ class CellOrder:
         self.tables = {**self.tables, "starts": self.starts if listed else None}
 
 
-def in_chunks(work: partial[Any], chunks: int, threads: int) -> None:
+def run_in_chunks(work: partial[Any], chunks: int, threads: int) -> None:
     """Call a kernel for a number of chunks. Its last two arguments count sixteenths of a chunk; a thread takes at least one
     chunk."""
     parallel.in_parts(work, SHARES * chunks, threads, SHARES)
 
 
 @kernel
-def _box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], ends: Array2[F64]) -> None:
+def _fill_box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], ends: Array2[F64]) -> None:
     """Write the least and the greatest x, y and z of finite positions to `ends` (2, 3), 0 if there are none. `lanes` (6, 8): the
     values of each lane."""
     even = x.size & -8
@@ -195,8 +199,8 @@ def _box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], end
         for first in range(0, even, 8):
             a, b, c = x[first + lane], y[first + lane], z[first + lane]
             good = np.isfinite(a) & np.isfinite(b) & np.isfinite(c)
-            low_x, low_y, low_z = _lower(low_x, a, good), _lower(low_y, b, good), _lower(low_z, c, good)
-            high_x, high_y, high_z = _higher(high_x, a, good), _higher(high_y, b, good), _higher(high_z, c, good)
+            low_x, low_y, low_z = _minimum(low_x, a, good), _minimum(low_y, b, good), _minimum(low_z, c, good)
+            high_x, high_y, high_z = _maximum(high_x, a, good), _maximum(high_y, b, good), _maximum(high_z, c, good)
         lanes[0, lane], lanes[1, lane], lanes[2, lane] = low_x, low_y, low_z
         lanes[3, lane], lanes[4, lane], lanes[5, lane] = high_x, high_y, high_z
     for axis in range(3):
@@ -206,17 +210,17 @@ def _box(x: Array1[F32], y: Array1[F32], z: Array1[F32], lanes: Array2[F32], end
         for k in range(even, x.size):
             place = x[k] if axis == 0 else (y[k] if axis == 1 else z[k])
             good = np.isfinite(x[k]) & np.isfinite(y[k]) & np.isfinite(z[k])
-            low, high = _lower(low, place, good), _higher(high, place, good)
+            low, high = _minimum(low, place, good), _maximum(high, place, good)
         ends[0, axis], ends[1, axis] = (np.float64(low), np.float64(high)) if low <= high else (0.0, 0.0)
 
 
 @inlined
-def _lower(low: F32, place: F32, good: BOOL) -> F32:
+def _minimum(low: F32, place: F32, good: BOOL) -> F32:
     return place if good & (place < low) else low
 
 
 @inlined
-def _higher(high: F32, place: F32, good: BOOL) -> F32:
+def _maximum(high: F32, place: F32, good: BOOL) -> F32:
     return place if good & (place > high) else high
 
 
@@ -230,10 +234,10 @@ def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, occupied:
         if not (np.isfinite(a) and np.isfinite(b) and np.isfinite(c)):
             continue
         agents += 1
-        column = nearest_integer(_cell(b, low[1], inverse[1], size[1])) * ((size[0] >> 2) + 1) + (
-            nearest_integer(_cell(a, low[0], inverse[0], size[0])) >> 2
+        column = nearest_integer(_cell_index(b, low[1], inverse[1], size[1])) * ((size[0] >> 2) + 1) + (
+            nearest_integer(_cell_index(a, low[0], inverse[0], size[0])) >> 2
         )
-        cell = column * size[2] + nearest_integer(_cell(c, low[2], inverse[2], size[2]))
+        cell = column * size[2] + nearest_integer(_cell_index(c, low[2], inverse[2], size[2]))
         column, cell = column % occupied.shape[1], cell % occupied.shape[1]
         columns += not occupied[0, column]
         cells += not occupied[1, cell]
@@ -242,46 +246,46 @@ def _is_sheet(along: Columns, low: Three, inverse: Three, size: Sizes, occupied:
 
 
 @inlined
-def _cell(place: Any, low: F64, inverse: F64, size: I64) -> F64:
+def _cell_index(place: Any, low: F64, inverse: F64, size: I64) -> F64:
     """Return the index of the cell along an axis, as float64."""
     return np.floor(min(max((np.float64(place) - low) * inverse, 0.0), np.float64(size - 1)))
 
 
 @inlined
-def number_of_cell(along: AnyColumns, row: I64, low: Three, inverse: Three, size: Sizes) -> I64:
+def cell_number(along: AnyColumns, row: I64, low: Three, inverse: Three, size: Sizes) -> I64:
     """Return the index of an agent's cell; one past the last cell for an agent without a finite position."""
     fast, middle, slow = along[0][row], along[1][row], along[2][row]
-    line = _cell(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _cell(middle, low[1], inverse[1], size[1])
-    key = nearest_integer(line) * size[0] + nearest_integer(_cell(fast, low[0], inverse[0], size[0]))
+    line = _cell_index(slow, low[2], inverse[2], size[2]) * np.float64(size[1]) + _cell_index(middle, low[1], inverse[1], size[1])
+    key = nearest_integer(line) * size[0] + nearest_integer(_cell_index(fast, low[0], inverse[0], size[0]))
     good = np.isfinite(fast) & np.isfinite(middle) & np.isfinite(slow)
     return key if good else size[0] * size[1] * size[2]
 
 
 @inlined
-def _chunk(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]:
+def _chunk_range(chunk: I64, chunks: I64, count: I64) -> tuple[I64, I64]:
     """Return where a chunk of `count` agents begins and ends."""
     length = -(-count // (8 * chunks)) * 8
     return min(chunk * length, count), min((chunk + 1) * length, count)
 
 
 @inlined
-def counted(
+def count_cells(
     along: AnyColumns, low: Three, inverse: Three, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
-    """Store the cell of each agent, `number_of_cell` plus `shift`, and count the agents of each cell at index cell + 2.
+    """Store the cell of each agent, `cell_number` plus `shift`, and count the agents of each cell at index cell + 2.
 
     `order`: rows of the agents, empty for all rows. Returns how many ordered pairs of agents of a chunk share a cell, including
     each agent with itself."""
     mates = 0
     for chunk in range(begin // SHARES, end // SHARES):
-        first, last = _chunk(chunk, counts.shape[0], keys.size)
+        first, last = _chunk_range(chunk, counts.shape[0], keys.size)
         if order.size > 0:
             for k in independent(first, last):
-                keys[k] = number_of_cell(along, order[k], low, inverse, size) + shift
+                keys[k] = cell_number(along, order[k], low, inverse, size) + shift
         else:
             for k in independent(first, last):
-                keys[k] = number_of_cell(along, k, low, inverse, size) + shift
+                keys[k] = cell_number(along, k, low, inverse, size) + shift
         if counts.shape[1] > 0:
             for k in range(size[0] * size[1] * size[2] + SPARE):
                 counts[chunk, k] = 0
@@ -293,16 +297,16 @@ def counted(
 
 
 @kernel
-def _count(
+def _count_cells(
     along: Columns, low: Three, inverse: Three, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """As `counted`."""
-    counted(along, low, inverse, size, shift, order, keys, counts, begin, end)
+    count_cells(along, low, inverse, size, shift, order, keys, counts, begin, end)
 
 
 @kernel
-def add_up(counts: Array2[I32], cells: I64) -> None:
+def accumulate_counts(counts: Array2[I32], cells: I64) -> None:
     """Convert counts to the position of each chunk's first agent of each cell, stored at index cell + 1. After all agents are
     placed, the last chunk has the first agent of each cell."""
     last, position = counts.shape[0] - 1, 0
@@ -330,13 +334,13 @@ def position_of(counts: Array2[I32], chunk: I64, k: I64, key: I64) -> I64:
 
 
 @kernel
-def _put(
+def _store_agents(
     positions: Columns, order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F32], rows: Array1[I32],
     at: Array1[I32], begin: I64, end: I64,
 ) -> None:  # fmt: skip
     """Write x, y, z and the row of each agent at its position. `ordered` and `rows` are views of one array, in groups of four."""
     for chunk in range(begin // SHARES, end // SHARES):
-        first, last = _chunk(chunk, counts.shape[0], keys.size)
+        first, last = _chunk_range(chunk, counts.shape[0], keys.size)
         for k in range(first, last):
             row = order[k] if order.size > 0 else k
             position = position_of(counts, chunk, k, keys[k])
@@ -346,14 +350,14 @@ def _put(
 
 
 @kernel
-def _columns(ordered: Array1[F32], x: Array1[F32], y: Array1[F32], z: Array1[F32], begin: I64, end: I64) -> None:
+def _store_columns(ordered: Array1[F32], x: Array1[F32], y: Array1[F32], z: Array1[F32], begin: I64, end: I64) -> None:
     """Write the positions in the order of the cells to one array per axis."""
     for n in independent(begin, end):
-        x[n], y[n], z[n], _ = consecutive(ordered, 4 * n, 4)
+        x[n], y[n], z[n], _ = load_consecutive(ordered, 4 * n, 4)
 
 
 @kernel
-def in_order(at: Array1[I32], registers: Four, ordered: Array1[F32], begin: I64, end: I64) -> None:
+def store_registers(at: Array1[I32], registers: Four, ordered: Array1[F32], begin: I64, end: I64) -> None:
     """Write four registers of each agent at its position, in groups of four."""
     for row in range(begin, end):
         first = 4 * at[row]
@@ -367,5 +371,5 @@ def agents_before(starts: Array1[I32], keys: Array1[I64], key: I64) -> I64:
     if starts.size > 0:
         count = starts[key]
     else:
-        count = place_among(keys, key, 0, keys.size)
+        count = lower_bound(keys, key, 0, keys.size)
     return count

@@ -34,7 +34,7 @@ _LEAST = 1e-30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Others:
+class Neighbours:
     """Neighbours of n agents, at most m each, nearest first: float64[n,m] in the plane of the requesting agent.
 
     `x y`: other minus own position; `vx vy`: own minus other velocity; `radius_sum`: the sum of both radii (mm, mm/s).
@@ -51,14 +51,14 @@ class Others:
 
 
 def clear_velocities(
-    others: Others, velocity: tuple[Floats, Floats], wish: tuple[Floats, Floats], fastest: Floats, horizon: Floats, dt: float,
+    others: Neighbours, velocity: tuple[Floats, Floats], wish: tuple[Floats, Floats], fastest: Floats, horizon: Floats, dt: float,
     threads: int = 1,
 ) -> tuple[Floats, Floats]:  # fmt: skip
     """Return velocities (mm/s, float64[n] along both axes of each agent's plane) nearest to a `wish`, no faster than `fastest`.
     They avoid all hits within `horizon` s if the others do their half. Agents that overlap separate within `dt` s."""
     o = others
-    columns = parallel.plain(o.x, o.y, o.vx, o.vy, o.radius_sum, o.is_present, o.first)
-    own, wished, (most, until) = (parallel.plain(*each) for each in (velocity, wish, (fastest, horizon)))
+    columns = parallel.contiguous(o.x, o.y, o.vx, o.vy, o.radius_sum, o.is_present, o.first)
+    own, wished, (most, until) = (parallel.contiguous(*each) for each in (velocity, wish, (fastest, horizon)))
     parts = parallel.in_parts(lambda *part: _clear_part(columns, own, wished, most, until, dt, *part), len(fastest), threads)
     if len(parts) == 1:
         return parts[0]
@@ -73,12 +73,12 @@ def _clear_part(
     most = others[0].shape[1]
     borders, between = ((*np.empty((4, most)), np.empty(most, np.int64)) for _ in range(2))
     x, y = np.empty((2, end - begin))
-    _clear(others, velocity, wish, fastest, horizon, dt, begin, end, borders, between, x, y)
+    _clear_rows(others, velocity, wish, fastest, horizon, dt, begin, end, borders, between, x, y)
     return x, y
 
 
 @kernel
-def _clear(
+def _clear_rows(
     others: Columns, velocity: tuple[Column, Column], wish: tuple[Column, Column], fastest: Column, horizon: Column, dt: F64,
     begin: I64, end: I64, borders: Lines, between: Lines, x: Column, y: Column,
 ) -> None:  # fmt: skip
@@ -86,7 +86,7 @@ def _clear(
     for a in range(begin, end):
         for c in range(most):
             if others[5][a, c]:
-                _border(others, a, c, velocity[0][a], velocity[1][a], horizon[a], dt, borders)
+                _set_border(others, a, c, velocity[0][a], velocity[1][a], horizon[a], dt, borders)
             else:
                 borders[4][c] = 0
         wx, wy, limit = wish[0][a], wish[1][a], fastest[a]
@@ -94,14 +94,14 @@ def _clear(
         part = 1.0
         if size > limit:
             part = limit / (size if size > 0.0 else 1.0)
-        vx, vy, failed = _nearest(borders, most, limit, wx, wy, wx * part, wy * part, False)
+        vx, vy, failed = _nearest_allowed(borders, most, limit, wx, wy, wx * part, wy * part, False)
         if failed < most:
-            vx, vy = _least_forbidden(borders, between, most, limit, vx, vy, failed)
+            vx, vy = _least_violation(borders, between, most, limit, vx, vy, failed)
         x[a - begin], y[a - begin] = vx, vy
 
 
 @inlined
-def _border(others: Any, a: I64, c: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: Lines) -> None:
+def _set_border(others: Any, a: I64, c: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: Lines) -> None:
     """Set the half-plane that neighbour c of agent a allows."""
     xs, ys, vxs, vys, rooms, is_present, first = others
     px, py, dx, dy, sound = borders
@@ -133,20 +133,22 @@ def _border(others: Any, a: I64, c: I64, own_x: F64, own_y: F64, horizon: F64, d
 
 
 @inlined
-def _beyond(borders: Lines, k: I64, x: F64, y: F64) -> F64:
+def _excess(borders: Lines, k: I64, x: F64, y: F64) -> F64:
     px, py, dx, dy, _ = borders
     away: float = dx[k] * (py[k] - y) - dy[k] * (px[k] - x)
     return away
 
 
 @called
-def _nearest(borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, y: F64, along: BOOL) -> tuple[F64, F64, I64]:
+def _nearest_allowed(
+    borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, y: F64, along: BOOL
+) -> tuple[F64, F64, I64]:
     """Return the allowed point nearest to the wish, starting from (x, y) in the circle; with `along`, the farthest in its
     direction. Also return the index of the border that left no allowed point."""
     px, py, dx, dy, is_sound = borders
     bx, by = x, y
     for k in range(most):
-        if is_sound[k] == 0 or not _beyond(borders, k, bx, by) > 0.0:
+        if is_sound[k] == 0 or not _excess(borders, k, bx, by) > 0.0:
             continue
         middle = px[k] * dx[k] + py[k] * dy[k]
         discriminant = middle * middle + fastest * fastest - (px[k] * px[k] + py[k] * py[k])
@@ -180,13 +182,13 @@ def _nearest(borders: Lines, most: I64, fastest: F64, wx: F64, wy: F64, x: F64, 
 
 
 @called
-def _least_forbidden(borders: Lines, between: Any, most: I64, fastest: F64, x: F64, y: F64, failed: I64) -> tuple[F64, F64]:
+def _least_violation(borders: Lines, between: Any, most: I64, fastest: F64, x: F64, y: F64, failed: I64) -> tuple[F64, F64]:
     """Return the point with the least violation of any border, starting from the point that the borders before `failed` allow."""
     px, py, dx, dy, is_sound = borders
     qx, qy, ex, ey, is_usable = between
     bx, by, deepest = x, y, 0.0
     for k in range(failed, most):
-        if is_sound[k] == 0 or not _beyond(borders, k, bx, by) > deepest:
+        if is_sound[k] == 0 or not _excess(borders, k, bx, by) > deepest:
             continue
         for q in range(k):
             cross = dx[k] * dy[q] - dy[k] * dx[q]
@@ -200,10 +202,10 @@ def _least_forbidden(borders: Lines, between: Any, most: I64, fastest: F64, x: F
             ex[q], ey[q] = wx / over, wy / over
             opposed = not (level and dx[k] * dx[q] + dy[k] * dy[q] > 0.0)
             is_usable[q] = 1 if is_sound[q] != 0 and size > _LEAST and opposed else 0
-        nx, ny, missed = _nearest(between, k, fastest, -dy[k], dx[k], -dy[k] * fastest, dx[k] * fastest, True)
+        nx, ny, missed = _nearest_allowed(between, k, fastest, -dy[k], dx[k], -dy[k] * fastest, dx[k] * fastest, True)
         if missed == k:
             bx, by = nx, ny
-        deepest = _beyond(borders, k, bx, by)
+        deepest = _excess(borders, k, bx, by)
     return bx, by
 
 

@@ -46,7 +46,7 @@ class Progress(NamedTuple):
     near: I64
 
 
-class TooManyWithin(Exception):
+class TooManyNeighbours(Exception):
     """More others are within the radius of one query than may be examined."""
 
 
@@ -66,7 +66,7 @@ class Pairs:
     dz: Floats
     distance: Floats
 
-    def pick(self, keep: Rows) -> Pairs:
+    def select_pairs(self, keep: Rows) -> Pairs:
         arrays: Any = (a.take(keep) for a in (self.i, self.j, self.dx, self.dy, self.dz, self.distance))
         return Pairs(*arrays)
 
@@ -79,13 +79,13 @@ class CellGrid:
 
     def __init__(self, x: Floats, y: Floats, z: Floats, ids: NDArray[np.int64], cell: float, threads: int = 1) -> None:
         self.x, self.y, self.z, self.ids = x, y, z, ids
-        x, y, z = parallel.plain(x, y, z)
+        x, y, z = parallel.contiguous(x, y, z)
         shape = Shape.of(*box_around((x, y, z)), cell)
         self.shape = shape.as_sheet() if shape.is_sheet((x, y, z)) else shape
         self.order = CellOrder(x.size, threads)
         self.order.sort(self.shape, (x, y, z), NO_ORDER if (ids[1:] >= ids[:-1]).all() else stable_order(ids))
 
-    def pairs(
+    def find_pairs(
         self,
         rows: Rows | None,
         radius: Floats | float,
@@ -132,7 +132,7 @@ class CellGrid:
         values: tuple[NDArray[Any], ...] = (*query, who, reach, *(view or (none,) * 4))
 
         def part(begin: int, end: int) -> tuple[NDArray[Any], ...] | None:
-            pair_columns = _find(grid, shape.axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
+            pair_columns = _find_pairs(grid, shape.axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
             if pair_columns is not None:
                 pair_columns[0][:] += begin
             return pair_columns
@@ -140,11 +140,13 @@ class CellGrid:
         pair_columns = parallel.in_parts(part, query[0].size, threads)
         good = [columns for columns in pair_columns if columns is not None]
         if len(good) < len(pair_columns):
-            raise TooManyWithin
+            raise TooManyNeighbours
         return Pairs(*good[0]) if len(good) == 1 else Pairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
 
 
-def _find(grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]], limit: int) -> tuple[NDArray[Any], ...] | None:
+def _find_pairs(
+    grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]], limit: int
+) -> tuple[NDArray[Any], ...] | None:
     """Return pairs of all queries [m] as `Pairs` has them; None if a query has more than `limit` others within its radius.
     `query`: x, y, z, ids (empty if they are not the grid's own), radius; heading x, y, z and cosine, empty for all-round
     queries."""
@@ -154,7 +156,7 @@ def _find(grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]
     spans, near = np.empty(64, np.int64), np.empty(1024, np.int64)
     kinds = (np.int64, np.int64, np.float32, np.float32, np.float32, np.float32)
     pairs = tuple(np.empty(max(16 * m, 1024), kind) for kind in kinds)  # what is not written takes no memory
-    k, used, along, wide = _fill(grid, asking, limit, spans, near, pairs, 0, 0)
+    k, used, along, wide = _fill_pairs(grid, asking, limit, spans, near, pairs, 0, 0)
     while k < m:
         if wide < 0:
             return None
@@ -162,31 +164,31 @@ def _find(grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]
             spans, near = np.empty(2 * along, np.int64), np.empty(2 * wide, np.int64)
         else:
             pairs = tuple(np.concatenate([a[:used], np.empty(a.size + near.size, a.dtype)]) for a in pairs)
-        k, used, along, wide = _fill(grid, asking, limit, spans, near, pairs, k, used)
+        k, used, along, wide = _fill_pairs(grid, asking, limit, spans, near, pairs, k, used)
     return tuple(a[:used] for a in pairs)
 
 
 @inlined
-def _lower(q: F64, low: F64, inverse: F64, size: I64) -> I64:
+def _lower_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Return the cell of the lower end of a span, at least 0 and at most `size`."""
     return math.floor(min(max((q - low) * inverse, 0.0), float(size)))
 
 
 @inlined
-def _upper(q: F64, low: F64, inverse: F64, size: I64) -> I64:
+def _upper_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Return the cell of the upper end of a span, at least -1 and below `size`."""
     return math.floor(min(max((q - low) * inverse, -1.0), size - 1.0))
 
 
 @inlined
-def _off(q: F64, cell: I64, low: F64, width: F64) -> F64:
+def _axis_distance(q: F64, cell: I64, low: F64, width: F64) -> F64:
     """Return the least distance along an axis from q to a cell, rounded down."""
     edge = low + cell * width
     return max(max(edge - q, q - (edge + width)), 0.0) * _INWARD
 
 
 @called
-def _spans(
+def _find_spans(
     a: F64,
     b: F64,
     c: F64,
@@ -205,23 +207,25 @@ def _spans(
     Returns the number of spans and of agents in them; or -1 and the required length of `spans`."""
     tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
     r = radius * _SLACK + tiny
-    b0, b1 = _lower(b - r, low[1], inverse[1], size[1]), _upper(b + r, low[1], inverse[1], size[1])
+    b0, b1 = _lower_cell(b - r, low[1], inverse[1], size[1]), _upper_cell(b + r, low[1], inverse[1], size[1])
     sheet = size[2] == 1 and abs(c - low[2]) <= width[2]
-    c0, c1 = (0, 0) if sheet else (_lower(c - r, low[2], inverse[2], size[2]), _upper(c + r, low[2], inverse[2], size[2]))
+    c0, c1 = (
+        (0, 0) if sheet else (_lower_cell(c - r, low[2], inverse[2], size[2]), _upper_cell(c + r, low[2], inverse[2], size[2]))
+    )
     number, total = 0, 0
     if b0 > b1 or c0 > c1:
         return 0, 0
     if 2 * (b1 - b0 + 1) * (c1 - c0 + 1) > spans.size:
         return -1, 2 * (b1 - b0 + 1) * (c1 - c0 + 1)
     for cz in range(c0, c1 + 1):
-        off_z = 0.0 if sheet else _off(c, cz, low[2], width[2])
+        off_z = 0.0 if sheet else _axis_distance(c, cz, low[2], width[2])
         for cy in range(b0, b1 + 1):
-            off_y = _off(b, cy, low[1], width[1])
+            off_y = _axis_distance(b, cy, low[1], width[1])
             left = r * r - off_y * off_y - off_z * off_z
             if not left >= 0:
                 continue
             half = math.sqrt(left) * _SLACK + tiny
-            a0, a1 = _lower(a - half, low[0], inverse[0], size[0]), _upper(a + half, low[0], inverse[0], size[0])
+            a0, a1 = _lower_cell(a - half, low[0], inverse[0], size[0]), _upper_cell(a + half, low[0], inverse[0], size[0])
             if a0 > a1:
                 continue
             line = (cz * size[1] + cy) * size[0]
@@ -233,7 +237,7 @@ def _spans(
 
 
 @called
-def _bound(
+def _nearest_bound(
     sx: Array1[F32], sy: Array1[F32], sz: Array1[F32], names: Array1[I64], near: Array1[I64], candidate_count: I64,
     x: F32, y: F32, z: F32,
     reach: F32, name: I64,
@@ -273,7 +277,7 @@ def _bound(
 
 
 @kernel
-def _fill(
+def _fill_pairs(
     grid: Grid, query: Query, limit: I64, spans: Array1[I64], near: Array1[I64], pairs: PairColumns, k: I64, used: I64
 ) -> Progress:
     """Continue with query k, after `used` earlier pairs, until an array is full.
@@ -291,7 +295,7 @@ def _fill(
         name = who[k] if own else np.int64(-1)
         if limited:
             gx, gy, gz, least = hx[k], hy[k], hz[k], cosine[k]
-        number, total = _spans(
+        number, total = _find_spans(
             float(fast[k]), float(middle[k]), float(slow[k]), float(reach), keys, starts, low, inverse, width, size, spans
         )
         if number < 0:
@@ -316,7 +320,7 @@ def _fill(
             if count > limit:
                 return Progress(k, used, spans.size, -1)
             if count > NEIGHBOURS:
-                farthest, last = _bound(sx, sy, sz, names, near, candidate_count, x, y, z, reach, name)
+                farthest, last = _nearest_bound(sx, sy, sz, names, near, candidate_count, x, y, z, reach, name)
         if used + candidate_count > i.size:
             return Progress(k, used, spans.size, near.size)
         for p in range(candidate_count):

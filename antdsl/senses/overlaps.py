@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import F32, I64, Array1, kernel
-from antdsl.numerics.parallel import plain
-from antdsl.senses.touching import all_within_reach
+from antdsl.numerics.parallel import contiguous
+from antdsl.senses.touching import find_all_touching
 
 Floats = NDArray[np.float32]
 
@@ -21,25 +21,25 @@ def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
     The value is the greatest of 1 - distance / (sum of both radii), exact for any crowd. In dense crowds, a list of all pairs
     would grow with the square of the number of agents. Therefore nearest neighbours are queried until none farther off can be
     worse."""
-    x, y, z, radius = plain(x, y, z, radius)
+    x, y, z, radius = contiguous(x, y, z, radius)
     overlap, wide = np.zeros(len(x), np.float32), [each.astype(np.float64) for each in (x, y, z, radius)]
-    pairs = all_within_reach((wide[0], wide[1], wide[2]), np.maximum(wide[3], 0) * _WIDER + _LEAST)
+    pairs = find_all_touching((wide[0], wide[1], wide[2]), np.maximum(wide[3], 0) * _WIDER + _LEAST)
     if pairs is not None:
-        worst(x, y, z, radius, pairs.i, pairs.j, overlap)
+        fill_worst_overlaps(x, y, z, radius, pairs.i, pairs.j, overlap)
         return overlap
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & np.isfinite(radius))
     place = np.stack([x[rows], y[rows], z[rows]], axis=1)
-    overlap[rows] = _by_nearest(place, radius[rows])
+    overlap[rows] = _overlaps_by_nearest(place, radius[rows])
     return overlap
 
 
-def _inside(distance: Floats, one: Floats, other: Floats) -> Floats:
+def _overlap_share(distance: Floats, one: Floats, other: Floats) -> Floats:
     radius_sum = np.maximum(one + other, np.float32(1e-9))
     part: Floats = np.clip(1 - distance / radius_sum, 0, 1)
     return part
 
 
-def _by_nearest(place: Floats, radius: Floats) -> Floats:
+def _overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
     """As `worst_overlaps`, for places [n,3] of a dense crowd."""
     from scipy.spatial import cKDTree
 
@@ -63,7 +63,7 @@ def _by_nearest(place: Floats, radius: Floats) -> Floats:
             away, near = away.reshape(len(rows), count), others[near.reshape(len(rows), count)]
             d = [place[near, axis] - place[rows, axis][:, None] for axis in range(3)]
             distance = np.sqrt((d[0] * d[0] + d[1] * d[1]) + d[2] * d[2])
-            part = _inside(distance, radius[rows][:, None], radius[near])
+            part = _overlap_share(distance, radius[rows][:, None], radius[near])
             part[near == rows[:, None]] = 0
             overlap[pending_rows] = np.maximum(overlap[pending_rows], part.max(axis=1))
             beyond = 1 - away[:, -1] / np.maximum(radius[rows].astype(np.float64) + widest, 1e-9)
@@ -74,7 +74,7 @@ def _by_nearest(place: Floats, radius: Floats) -> Floats:
 
 
 @kernel
-def worst(
+def fill_worst_overlaps(
     x: Array1[F32], y: Array1[F32], z: Array1[F32], radius: Array1[F32], i: Array1[I64], j: Array1[I64], overlap: Array1[F32]
 ) -> None:
     """Write the worst overlap of each agent, from pairs of agents, to `overlap`, which is zero before."""

@@ -21,15 +21,25 @@ from antdsl.machine_code.kernels import (
     I64,
     Array1,
     Array2,
-    consecutive,
     fetch_ahead,
     independent,
     kernel,
+    load_consecutive,
     nearest_integer,
 )
-from antdsl.numerics.parallel import plain
-from antdsl.numerics.sorting import listed, stable_order
-from antdsl.senses.cell_order import NO_ORDER, SHARES, SPARE, Sizes, add_up, agents_before, along, counted, position_of
+from antdsl.numerics.parallel import contiguous
+from antdsl.numerics.sorting import compact_indices, stable_order
+from antdsl.senses.cell_order import (
+    NO_ORDER,
+    SHARES,
+    SPARE,
+    Sizes,
+    accumulate_counts,
+    agents_before,
+    count_cells,
+    position_of,
+    reorder_axes,
+)
 from antdsl.senses.cell_order import Three as Corner
 
 Floats = NDArray[np.float64]
@@ -69,63 +79,65 @@ class Touching:
     near: NDArray[np.bool_]
 
 
-def within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None = None) -> Pairs:
+def find_touching(place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None = None) -> Pairs:
     """Return pairs of agents that are no farther apart than the sum of their reaches (float64[n], mm). `place`: x, y and z
     float64[n], mm. `order` int64[n], all different: which agents count first in a dense cluster, whatever the rows. Agents
     without a finite position and reach are in no pair. `bounds`: the least and the greatest x, y, z and reach, if known; not
     finite if any of them is not."""
-    pairs = all_within_reach(place, reach, bounds)
+    pairs = find_all_touching(place, reach, bounds)
     if pairs is None:
-        pairs = _within_reach(place, reach, order, bounds, True)
+        pairs = _pairs_within_reach(place, reach, order, bounds, True)
     assert pairs is not None
     return pairs
 
 
-def all_within_reach(place: Three, reach: Floats, bounds: Bounds | None = None) -> Pairs | None:
-    """As `within_reach`, but return None unless all pairs are listed."""
-    return _within_reach(place, reach, NO_ORDER, bounds, False)
+def find_all_touching(place: Three, reach: Floats, bounds: Bounds | None = None) -> Pairs | None:
+    """As `find_touching`, but return None unless all pairs are listed."""
+    return _pairs_within_reach(place, reach, NO_ORDER, bounds, False)
 
 
-def _within_reach(place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None, heaps: bool) -> Pairs | None:
+def _pairs_within_reach(
+    place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None, heaps: bool
+) -> Pairs | None:
     """Return pairs of all agents; None if there are dense clusters and `heaps` does not allow to leave out pairs."""
-    rows, (x, y, z, reach) = NO_ORDER, plain(*place, reach)
+    rows, (x, y, z, reach) = NO_ORDER, contiguous(*place, reach)
     place = x, y, z
     if bounds is None and len(reach):
-        bounds = _bounds((*place, reach))
+        bounds = _find_bounds((*place, reach))
     if bounds is None or not (all(isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0):
         fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
         rows = np.flatnonzero(fit)
         if not len(rows):
             return Pairs(rows, rows, True)
-        bounds = _bounds((*place, reach), rows)
+        bounds = _find_bounds((*place, reach), rows)
     if heaps:  # who is left out goes by the order, not by rows
         rows = rows[stable_order(order[rows])] if rows.size else stable_order(order)
-    return _among(place, reach, rows, bounds, heaps)
+    return _pairs_among(place, reach, rows, bounds, heaps)
 
 
-def _bounds(numbers: Sequence[Floats], rows: Rows = NO_ORDER) -> Bounds:
+def _find_bounds(numbers: Sequence[Floats], rows: Rows = NO_ORDER) -> Bounds:
     """Return the least and the greatest value of each array, over some rows (none: over all)."""
     return [(float(each.min()), float(each.max())) for each in (n[rows] if rows.size else n for n in numbers)]
 
 
-def _among(place: Three, reach: Floats, rows: Rows, bounds: Bounds, heaps: bool) -> Pairs | None:
+def _pairs_among(place: Three, reach: Floats, rows: Rows, bounds: Bounds, heaps: bool) -> Pairs | None:
     """Return pairs among rows (none: all) within bounds. Returns None if there are dense clusters and `heaps` is False. In a
     dense cluster the first rows count first."""
     low, high = bounds[3]
     if 2 * low >= high:
-        return _joined([_Grid.of(place, reach, rows, bounds).pairs(heaps)])
+        return _join_pairs([_Grid.of(place, reach, rows, bounds).own_pairs(heaps)])
     rows = rows if rows.size else np.arange(len(reach))
     sizes, pair_lists = np.frexp(reach[rows])[1], []
     for size in np.unique(sizes):
         members, smaller = rows[sizes == size], rows[sizes < size]
-        grid = _Grid.of(place, reach, members, _bounds((*place, reach), members))
-        pair_lists += [grid.pairs(heaps)] + ([grid.pairs_with(place, reach, smaller, heaps)] if smaller.size else [])
+        grid = _Grid.of(place, reach, members, _find_bounds((*place, reach), members))
+        pair_lists += [grid.own_pairs(heaps)] + ([grid.pairs_with(place, reach, smaller, heaps)] if smaller.size else [])
         if None in pair_lists:
             return None
-    return _joined(pair_lists)
+    return _join_pairs(pair_lists)
 
 
-def _joined(pair_lists: Sequence[Pairs | None]) -> Pairs | None:
+def _join_pairs(pair_lists: Sequence[Pairs | None]) -> Pairs | None:
     parts = [each for each in pair_lists if each is not None]
     if len(parts) < len(pair_lists) or len(parts) == 1:
         return pair_lists[0] if len(parts) == 1 else None
@@ -157,36 +169,36 @@ class _Grid(NamedTuple):
         start = tuple(low[axis] for axis in axes)
         grid = _Grid(axes, start, 1 / cell, (across, broad, 1), agents, np.empty(0, np.int32))
         most, flat, keys = max(1 << 16, 16 * count), depth == _ONE_LAYER, np.empty(count, np.int64)
-        counts, mates = grid._counted(place, rows, keys, most)
+        counts, mates = grid._count_agents(place, rows, keys, most)
         if not (flat or (counts.size and mates <= _SHEET * count)):
             grid = grid._replace(size=(across, broad, depth))
-            counts, _ = grid._counted(place, rows, keys, most)
+            counts, _ = grid._count_agents(place, rows, keys, most)
         if counts.size:
-            add_up(counts, grid.cells)
+            accumulate_counts(counts, grid.cell_count)
         else:
             order = stable_order(keys)
             keys, rows = keys.take(order), rows.take(order) if rows.size else order
-        _put(place, reach, rows, keys, counts, *agents)
+        _store_agents(place, reach, rows, keys, counts, *agents)
         return grid._replace(starts=counts[0])
 
     @property
-    def cells(self) -> int:
+    def cell_count(self) -> int:
         return self.size[0] * self.size[1] * self.size[2]
 
-    def _numbers(self) -> tuple[Any, ...]:
+    def _cell_numbering(self) -> tuple[Any, ...]:
         """Return what kernels need to number cells: low corners, cells per millimetre, sizes, and the index of the first cell in
         use."""
         across, broad, depth = self.size
         first, rate = (broad + 1) * across + 1 if depth > 1 else across + 1, self.rate
         return self.low, (rate, rate, rate if depth > 1 else 0.0), self.size, first
 
-    def _counted(self, place: Three, rows: Rows, keys: NDArray[np.int64], most: int) -> tuple[NDArray[np.int32], int]:
+    def _count_agents(self, place: Three, rows: Rows, keys: NDArray[np.int64], most: int) -> tuple[NDArray[np.int32], int]:
         """Store the cells of rows. Returns a table of the number of rows in each, empty if there are more than `most` cells, and
         the number of pairs that share one."""
-        counts = np.empty((1, self.cells + SPARE if self.cells <= most else 0), np.int32)
-        return counts, _count(along(self.axes, place), *self._numbers(), rows, keys, counts, 0, SHARES)
+        counts = np.empty((1, self.cell_count + SPARE if self.cell_count <= most else 0), np.int32)
+        return counts, _count_cells(reorder_axes(self.axes, place), *self._cell_numbering(), rows, keys, counts, 0, SHARES)
 
-    def pairs(self, heaps: bool) -> Pairs | None:
+    def own_pairs(self, heaps: bool) -> Pairs | None:
         """Return the pairs among the grid's agents: each agent with later ones in its cell, and with those in the later half of
         its neighbour cells."""
         across, layer = self.size[0], self.size[0] * self.size[1]
@@ -197,7 +209,7 @@ class _Grid(NamedTuple):
         across, layer = self.size[0], self.size[0] * self.size[1]
         around = [depth * layer + aside * across for depth in (0, -1, 1) for aside in (-1, 0, 1)]
         positions, own, keys = np.empty(4 * rows.size), np.empty(rows.size, np.int32), np.empty(rows.size, np.int64)
-        used = _ask(place, along(self.axes, place), reach, *self._numbers(), rows, positions, own, keys)
+        used = _store_queries(place, reorder_axes(self.axes, place), reach, *self._cell_numbering(), rows, positions, own, keys)
         return self._find_pairs((positions, own[:used], keys), around, False, heaps)
 
     def _find_pairs(
@@ -212,22 +224,24 @@ class _Grid(NamedTuple):
         used, most_pairs, left_out = -3, 4 * count + 256, 0
         while used == -3:
             i, j = np.empty((2, most_pairs), np.int64)
-            used, left_out = _filled(asking, self.agents, self.starts, self.cells, shifts, own, _MOST, heaps, buffers, i, j)
+            used, left_out = _fill_pairs(
+                asking, self.agents, self.starts, self.cell_count, shifts, own, _MOST, heaps, buffers, i, j
+            )
             most_pairs *= 4
         return None if used < 0 else Pairs(i[:used], j[:used], not left_out)
 
 
 @kernel
-def _count(
+def _count_cells(
     along: Columns, low: Corner, inverse: Corner, size: Sizes, shift: I64, order: Array1[I64], keys: Array1[I64],
     counts: Array2[I32], begin: I64, end: I64,
 ) -> I64:  # fmt: skip
     """As `counted`."""
-    return counted(along, low, inverse, size, shift, order, keys, counts, begin, end)
+    return count_cells(along, low, inverse, size, shift, order, keys, counts, begin, end)
 
 
 @kernel
-def _put(
+def _store_agents(
     positions: Columns, reach: Array1[F64], order: Array1[I64], keys: Array1[I64], counts: Array2[I32], ordered: Array1[F64],
     rows: Array1[I32], cells: Array1[I64],
 ) -> None:  # fmt: skip
@@ -243,7 +257,7 @@ def _put(
 
 
 @kernel
-def _ask(
+def _store_queries(
     positions: Columns, along: Columns, reach: Array1[F64], low: Corner, inverse: Corner, size: Sizes, shift: I64,
     order: Array1[I64], asking: Array1[F64], rows: Array1[I32], cells: Array1[I64],
 ) -> I64:  # fmt: skip
@@ -265,7 +279,7 @@ def _ask(
 
 
 @kernel
-def _filled(
+def _fill_pairs(
     asking: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], own: BOOL, most: I64, heaps: BOOL,
     buffers: CandidateBuffers, i: Array1[I64], j: Array1[I64],
 ) -> tuple[I64, I64]:  # fmt: skip
@@ -304,10 +318,10 @@ def _filled(
                 candidates += last - first
         for n in independent(0, candidates):
             p, q = one[n], other[n]
-            (x, y, z, wide), (u, v, w, far) = consecutive(asks, 4 * p, 4), consecutive(ordered, 4 * q, 4)
+            (x, y, z, wide), (u, v, w, far) = load_consecutive(asks, 4 * p, 4), load_consecutive(ordered, 4 * q, 4)
             x, y, z, reach = u - x, v - y, w - z, wide + far
             near[n] = 1 if (x * x + y * y) + z * z <= reach * reach else 0
-        near_count = listed(near, candidates)
+        near_count = compact_indices(near, candidates)
         if used + near_count > i.size:
             return -3, 0
         for n in range(near_count):

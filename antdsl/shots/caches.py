@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from antdsl.bounded import real_path
-from antdsl.executors import Refused, Task, Worker
-from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, InTheWay
-from antdsl.outputs.cache.lock import Locked
-from antdsl.outputs.cache.manifest import way_to
+from antdsl.executors import Task, TaskRefused, Worker
+from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, PathBlocked
+from antdsl.outputs.cache.lock import FolderLocked
+from antdsl.outputs.cache.manifest import relative_path
 from antdsl.outputs.recording import NothingToResume, begin, record
 from antdsl.outputs.starting import StartError, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
@@ -23,7 +23,7 @@ from antdsl.shots.placing import Destination
 KINDS = ("frames", "checkpoints")  # folders of a cache that have a file a frame
 
 
-def task(shot: Shot, scene: Path, choices: Choices, options: Mapping[str, Any], to: Destination, name: str) -> Task:
+def cache_task(shot: Shot, scene: Path, choices: Choices, options: Mapping[str, Any], to: Destination, name: str) -> Task:
     """Return a task that writes the cache of a shot to the folder `name` of a destination. `options`: those of `Options` except
     threads, and `resume` and `force`. Raises StartError like the shot."""
     scene = real_path(scene)
@@ -33,31 +33,31 @@ def task(shot: Shot, scene: Path, choices: Choices, options: Mapping[str, Any], 
         "frames": [shot.frames.first, shot.frames.last],
         "seed": choices.seed,
         "set": dict(choices.params),
-        "inputs": _digest({**shot.inputs, **start_hash(shot)}),
+        "inputs": _document_digest({**shot.inputs, **start_hash(shot)}),
         "options": dict(options),
         "folder": to.folder,
         "token": to.token,
         "name": name,
-        "way": way_to(scene, Path(to.folder) / name),
+        "way": relative_path(scene, Path(to.folder) / name),
     }
-    key = _digest(document)
-    return Task(key, cached, {**document, "key": key})
+    key = _document_digest(document)
+    return Task(key, simulate_cache, {**document, "key": key})
 
 
-def cached(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+def simulate_cache(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     """Simulate a scene into a cache."""
     grants = {name: worker.local_path(folder) for name, folder in document["grants"].items()}
     choices = Choices(grants, FrameRange(*document["frames"]), document["seed"], document["set"])
     shot, report = open_scene(worker.local_path(document["scene"]), choices)
     if shot is None or not report.ok:
-        raise Refused("; ".join(problem.message for problem in report.errors))
+        raise TaskRefused("; ".join(problem.message for problem in report.errors))
     options = dict(document["options"])
     resume, force = options.pop("resume"), options.pop("force")
     to = Destination(document["folder"], document["token"])
     place = to.place(worker, document["key"])
     try:
-        if _digest({**shot.inputs, **start_hash(shot)}) != document["inputs"]:
-            raise Refused("files that the scene reads have changed since the command began")
+        if _document_digest({**shot.inputs, **start_hash(shot)}) != document["inputs"]:
+            raise TaskRefused("files that the scene reads have changed since the command began")
         recording = begin(shot, place / document["name"], Options(threads=worker.threads, **options), resume=resume, force=force)
         recording.scene_path = document["way"]
         worker.notes += recording.notes
@@ -65,14 +65,14 @@ def cached(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
             worker.report_frame(recording.world.frame)
         worker.notes += recording.world.backend.messages()
     except (BindError, StartError) as why:
-        raise Refused("; ".join(problem.message for problem in why.report.errors)) from None
-    except (ForeignFolder, InTheWay, DifferentInputs, NothingToResume, Locked, LimitStop, FaultStop) as why:
-        raise Refused(str(why)) from None
+        raise TaskRefused("; ".join(problem.message for problem in why.report.errors)) from None
+    except (ForeignFolder, PathBlocked, DifferentInputs, NothingToResume, FolderLocked, LimitStop, FaultStop) as why:
+        raise TaskRefused(str(why)) from None
     summary = {"frames": document["frames"][1] - document["frames"][0] + 1, "hash": recording.hash}
     return {**to.describe_files(worker, place, document["key"]), **summary}
 
 
-def without_others(folder: Path, files: list[Any], name: str) -> None:
+def remove_other_frames(folder: Path, files: list[Any], name: str) -> None:
     """Remove frames and checkpoints of an earlier run from a cache that was fetched."""
     current_names = {str(file) for file, *_ in files}
     for kind in KINDS:
@@ -81,5 +81,5 @@ def without_others(folder: Path, files: list[Any], name: str) -> None:
                 path.unlink()
 
 
-def _digest(inputs: Mapping[str, Any]) -> str:
+def _document_digest(inputs: Mapping[str, Any]) -> str:
     return hashlib.blake2b(json.dumps(inputs, sort_keys=True).encode(), digest_size=12).hexdigest()

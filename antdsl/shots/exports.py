@@ -8,10 +8,10 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from antdsl.executors import Refused, Task, Worker
+from antdsl.executors import Task, TaskRefused, Worker
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
-from antdsl.outputs.exports import SomeAgents, export_for
+from antdsl.outputs.exports import AgentSubset, export_for
 from antdsl.outputs.gallery import Gallery, NoPicture
 from antdsl.outputs.numbered_files import NoExport
 from antdsl.shots.placing import Destination
@@ -19,7 +19,7 @@ from antdsl.shots.placing import Destination
 CHUNK = 8  # frames of a task
 
 
-def tasks(
+def export_tasks(
     cache: Path, name: str, form: str, ids: frozenset[int] | None, frames: Sequence[int], to: Destination
 ) -> Iterator[Task]:
     """Yield tasks that write all frames to files with names from `name`. `cache`: an absolute path without links."""
@@ -29,22 +29,22 @@ def tasks(
     for start in range(0, len(frames), CHUNK):
         chunk = list(frames[start : start + CHUNK])
         key = f"{head}-{chunk[0]}-{chunk[-1]}"
-        yield Task(key, exported, {**document, "frames": chunk, "key": key})
+        yield Task(key, export_frames, {**document, "frames": chunk, "key": key})
 
 
-def exported(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+def export_frames(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     """Write some frames."""
     to, name = Destination(document["folder"], document["token"]), document["name"]
     export = export_for(Path(name))
     try:
         if export is None or document["form"] not in export.each:
-            raise Refused(f"`{name}` has no file for each frame")
+            raise TaskRefused(f"`{name}` has no file for each frame")
         cache = open_cache(worker.local_path(document["cache"]))
         if document["ids"] is not None:
-            cache = SomeAgents(cache.folder, cache.manifest, frozenset(document["ids"]))
+            cache = AgentSubset(cache.folder, cache.manifest, frozenset(document["ids"]))
         place = to.place(worker, document["key"])
         notes = export.forms[document["form"]](Gallery(cache), document["frames"], place / name)
     except (ManifestError, CacheError, NoPicture, NoExport) as why:
-        raise Refused(str(why)) from None
+        raise TaskRefused(str(why)) from None
     worker.notes += notes or ()
     return to.describe_files(worker, place, document["key"])

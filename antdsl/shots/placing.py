@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
-from antdsl.bounded import blocks, open_bounded
-from antdsl.executors import Answered, Executors, Lost, Refused, Task, Worker, run_tasks
+from antdsl.bounded import open_bounded, read_blocks
+from antdsl.executors import Executors, Task, TaskOutcome, TaskRefused, Worker, WorkersLost, run_tasks
 from antdsl.limits import MADE_BYTES
-from antdsl.whole import atomic_file, make_folder, new_beside
+from antdsl.whole import atomic_file, make_folder, new_sibling
 
 _TRIES = 3  # number of attempts of a task with files that cannot be fetched
 
 
-class Fetching(Protocol):
+class FileFetcher(Protocol):
     """Where files of a worker can be had."""
 
     def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]: ...
@@ -48,30 +48,30 @@ class Destination:
         files = [path for path in sorted(place.rglob("*")) if path.is_file()]
         total = sum(path.stat().st_size for path in files)
         if total > MADE_BYTES:
-            raise Refused(
+            raise TaskRefused(
                 f"it made {total:,} bytes, and more than {MADE_BYTES:,} are not fetched; name a folder that workers see too"
             )
-        listed = [[path.relative_to(place).as_posix(), path.stat().st_size, _digest(path)] for path in files]
+        listed = [[path.relative_to(place).as_posix(), path.stat().st_size, _file_digest(path)] for path in files]
         return {"worker": worker.name, "made": key, "files": listed}
 
 
 @contextmanager
-def destination(folder: Path) -> Iterator[Destination]:
+def mark_folder(folder: Path) -> Iterator[Destination]:
     """A folder that is there, marked meanwhile."""
-    token = new_beside(folder / "seen")
+    token = new_sibling(folder / "seen")
     try:
         yield Destination(str(folder.resolve()), token.name)
     finally:
         token.unlink(missing_ok=True)
 
 
-def fetched(
+def run_and_fetch(
     tasks: Iterable[Task],
     executors: Executors,
     folder: Callable[[Task], Path],
     report_frame: Callable[[Task, int], None] = lambda task, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
-) -> Iterator[Answered]:
+) -> Iterator[TaskOutcome]:
     """Run tasks with `Destination.made` answers, and yield each once its files are in their folder. A task runs again if its
     worker is gone before all files are fetched."""
     again: list[Task] = list(tasks)
@@ -81,25 +81,25 @@ def fetched(
             try:
                 if answered.answer is not None and answered.answer["files"]:
                     _fetch(answered.answer, executors, folder(answered.task))
-            except Lost as why:
+            except WorkersLost as why:
                 if attempt == _TRIES - 1:
                     yield replace(answered, answer=None, problem=str(why))
                 else:
                     again.append(answered.task)
                 continue
-            except (OSError, Refused) as why:
+            except (OSError, TaskRefused) as why:
                 yield replace(answered, answer=None, problem=str(why))
                 continue
             yield answered
 
 
 def _fetch(answer: dict[str, Any], source: Any, folder: Path) -> None:
-    fetcher: Fetching = source
+    fetcher: FileFetcher = source
     root, left = folder.resolve(), MADE_BYTES
     for name, size, digest in answer["files"]:
         path, left = (root / name).resolve(), left - size
         if not path.is_relative_to(root) or left < 0:
-            raise Refused(f"a worker made `{name}` of {size:,} bytes, which does not go into `{folder}`")
+            raise TaskRefused(f"a worker made `{name}` of {size:,} bytes, which does not go into `{folder}`")
         make_folder(path.parent)
         hashed = hashlib.blake2b(digest_size=16)
         with atomic_file(path) as file:
@@ -107,13 +107,13 @@ def _fetch(answer: dict[str, Any], source: Any, folder: Path) -> None:
                 hashed.update(data)
                 file.write(data)
             if hashed.hexdigest() != digest:
-                raise Lost(f"`{name}` did not arrive as it was made")
+                raise WorkersLost(f"`{name}` did not arrive as it was made")
     fetcher.forget(answer["worker"], answer["made"])
 
 
-def _digest(path: Path) -> str:
+def _file_digest(path: Path) -> str:
     hashed = hashlib.blake2b(digest_size=16)
     with open_bounded(path, MADE_BYTES) as file:
-        for block in blocks(file.fileno(), MADE_BYTES):
+        for block in read_blocks(file.fileno(), MADE_BYTES):
             hashed.update(block)
     return hashed.hexdigest()

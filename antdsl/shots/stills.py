@@ -8,17 +8,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from antdsl.executors import Refused, Task, Worker
+from antdsl.executors import Task, TaskRefused, Worker
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
-from antdsl.outputs.drawing import Drawer, Drawn, NoAgent, Stills
+from antdsl.outputs.drawing import Drawer, DrawRequest, NoAgent, Stills
 from antdsl.outputs.gallery import NoPicture
 from antdsl.shots.placing import Destination
 
 CHUNK = 4  # frames of a task
 
 
-def tasks(cache: Path, picture_request: Drawn, frames: Sequence[int], together: Sequence[int], to: Destination) -> Iterator[Task]:
+def still_tasks(
+    cache: Path, picture_request: DrawRequest, frames: Sequence[int], together: Sequence[int], to: Destination
+) -> Iterator[Task]:
     """Yield tasks that draw all frames. `cache`: an absolute path without links; `together`: the frames for which the camera is
     chosen."""
     document = {
@@ -31,17 +33,17 @@ def tasks(cache: Path, picture_request: Drawn, frames: Sequence[int], together: 
     head = hashlib.blake2b(json.dumps(document).encode(), digest_size=8).hexdigest()
     for start in range(0, len(frames), CHUNK):
         chunk = list(frames[start : start + CHUNK])
-        yield Task(f"{head}-{chunk[0]}-{chunk[-1]}", stills, {**document, "frames": chunk, "key": f"{head}-{chunk[0]}"})
+        yield Task(f"{head}-{chunk[0]}-{chunk[-1]}", draw_stills, {**document, "frames": chunk, "key": f"{head}-{chunk[0]}"})
 
 
-def stills(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+def draw_stills(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     """Draw some frames. The drawer of earlier frames is cached for the next task of the same pictures."""
     to = Destination(document["folder"], document["token"])
     drawn = json.dumps([document["cache"], document["wanted"], document["all"]])
     try:
         cached_drawer = worker.cached_values.get("drawer")
         if cached_drawer is None or cached_drawer[0] != drawn:
-            picture_request = Drawn.of(document["wanted"])
+            picture_request = DrawRequest.of(document["wanted"])
             gallery = picture_request.gallery(open_cache(worker.local_path(document["cache"])))
             cached_drawer = worker.cached_values["drawer"] = (
                 drawn,
@@ -54,5 +56,5 @@ def stills(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
             output.put(frame, drawer.draw(frame))
             worker.report_frame(frame)
     except (ManifestError, CacheError, NoPicture, NoAgent, ValueError) as why:
-        raise Refused(str(why)) from None
+        raise TaskRefused(str(why)) from None
     return {**to.describe_files(worker, place, document["key"]), "frames": document["frames"]}

@@ -4,7 +4,7 @@
 `judge` look at every frame: `queries` asks agents and items, `aggregates` the wholes. `cases` decides what holds, too;
 `text_report` and `reports` say it. `golden` holds runs against recorded ones."""
 
-from antdsl.specs.cases import Case, Failure, Run, cases
+from antdsl.specs.cases import Case, Failure, Run, collect_cases
 from antdsl.specs.running import Work, run_cases
 
-__all__ = ["Case", "Failure", "Run", "Work", "cases", "run_cases"]
+__all__ = ["Case", "Failure", "Run", "Work", "collect_cases", "run_cases"]

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
-from antdsl.plan.lowering.spec_blocks import WholePlan
-from antdsl.plan.traverse import needed
+from antdsl.plan.lowering.spec_blocks import AggregatePlan
+from antdsl.plan.traverse import required_nodes
 from antdsl.runtime.sensing import uniform_leaf
 from antdsl.runtime.world import Population, World
 
@@ -28,13 +28,13 @@ def exact_total(values: NDArray[Any]) -> np.float64:
     return np.float64(fsum(wide.tolist())) if np.isfinite(wide).all() else np.float64(wide.sum())
 
 
-def evaluate_aggregate(world: World, judged: dict[str, Population], plan: WholePlan) -> Any:
+def evaluate_aggregate(world: World, judged: dict[str, Population], plan: AggregatePlan) -> Any:
     """Return the number: float64 for totals and counts, float32 for all else. Without agents, it is as for an empty set."""
     if plan.kind == "field" and plan.body is None:
         values = world.fields[plan.of].values
         if plan.how == "count":
             return np.float64(len(values))
-        return _of_values(plan.how, values, len(values))
+        return _aggregate_values(plan.how, values, len(values))
     if plan.kind == "solid":
         return np.float64(world.solids[plan.of].volume())
     population = judged[plan.of]
@@ -46,11 +46,11 @@ def evaluate_aggregate(world: World, judged: dict[str, Population], plan: WholeP
     if chosen is not None:
         values = values[chosen]
     if values.dtype == np.bool_:
-        return _of_truths(plan.how, int(np.count_nonzero(values)), count)
-    return _of_values(plan.how, values, count)
+        return _aggregate_truths(plan.how, int(np.count_nonzero(values)), count)
+    return _aggregate_values(plan.how, values, count)
 
 
-def _of_truths(how: str, true: int, count: int) -> Any:
+def _aggregate_truths(how: str, true: int, count: int) -> Any:
     if how == "count":
         return np.float64(true)
     if how == "share":
@@ -58,7 +58,7 @@ def _of_truths(how: str, true: int, count: int) -> Any:
     return np.float32(true == count if how == "every" else true > 0)
 
 
-def _of_values(how: str, values: NDArray[Any], count: int) -> Any:
+def _aggregate_values(how: str, values: NDArray[Any], count: int) -> Any:
     if how == "total":
         return exact_total(values)
     if how == "mean":
@@ -68,11 +68,11 @@ def _of_values(how: str, values: NDArray[Any], count: int) -> Any:
     return np.float32(values.max()) if count else np.float32(-np.inf)
 
 
-def value_of(world: World, node: ir.Node, spec_values: dict[str, Any]) -> Any:
+def evaluate_uniform(world: World, node: ir.Node, spec_values: dict[str, Any]) -> Any:
     """Return the value of a node that is equal for all agents, from the elementwise table of the backends."""
     values: dict[ir.Node, Any] = {}
     with np.errstate(all="ignore"):
-        for each in needed((node,)):
+        for each in required_nodes((node,)):
             f = ELEMENTWISE.get(each.op)
             if f is None:
                 values[each] = spec_values[each.attrs[0]] if each.op == "told" else uniform_leaf(world, each)

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from antdsl.diagnostics import Report
 from antdsl.files import find_files
-from antdsl.loading import CheckedOnce, Parsed
+from antdsl.loading import Parsed, SharedParsedFiles
 from antdsl.pipeline import Choices, Shot, check_path, open_scene
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
-from antdsl.program.consequences import in_one
-from antdsl.program.expectations import Changed, Spec
+from antdsl.program.consequences import merge_repeats
+from antdsl.program.expectations import Spec, SpecChange
 from antdsl.program.model import Program
 from antdsl.scene.paths import PathRefused, Roots
 from antdsl.source import Span
@@ -91,7 +91,7 @@ class Run:
     cases: list[Case]
 
 
-def cases(
+def collect_cases(
     paths: Iterable[Path], *, grants: Mapping[str, Path] | None = None, seeds: int | None = None, named: str = ""
 ) -> tuple[list[Run], Report]:
     """Return what to run for programs, scenes and folders, and a report on files, scenes and specs.
@@ -100,8 +100,8 @@ def cases(
     `named`: only specs with this text in their name."""
     paths = list(paths)
     files, report = find_files(paths)
-    parsed = CheckedOnce()
-    finder = _Finder(dict(grants or {}), parsed, report)
+    parsed = SharedParsedFiles()
+    finder = CaseFinder(dict(grants or {}), parsed, report)
     for file in (file for file in files if file.suffix == ".ant" or file in paths):
         program, findings = check_path(file, Choices(finder.grants), parsed=parsed, specs=False)
         report.extend(findings)
@@ -110,10 +110,10 @@ def cases(
         for spec in program.specs:
             if named.lower() in spec.name.lower():
                 finder.add(file, spec)
-    return finder.runs(seeds), report
+    return finder.make_runs(seeds), report
 
 
-class _Finder:
+class CaseFinder:
     """Opens each scene once for each set of changed params."""
 
     def __init__(self, grants: dict[str, Path], parsed: Parsed, report: Report) -> None:
@@ -125,11 +125,11 @@ class _Finder:
     def add(self, file: Path, spec: Spec) -> None:
         """Add a spec with its scene, only once for any number of paths. A scene adds the specs that run on it."""
         own = Path(spec.span.source.path)
-        scene = self._scene(own, spec, file)
+        scene = self._find_scene(own, spec, file)
         if scene is not None and (file.suffix == ".ant" or scene.resolve() == file.resolve()):
             self.found.setdefault((scene.resolve(), spec.span), (scene, spec))
 
-    def _scene(self, own: Path, spec: Spec, file: Path) -> Path | None:
+    def _find_scene(self, own: Path, spec: Spec, file: Path) -> Path | None:
         """Return the scene of a spec; without `on`, the scene of the path, or `scene.yaml` next to the program."""
         folder = own.resolve().parent
         if spec.scene is None:
@@ -139,51 +139,51 @@ class _Finder:
                 return own.parent / DEFAULT_SCENE
             self.report.error(
                 "no-scene", f"the spec `{spec.name}` does not say on which scene it runs, and there is no `{DEFAULT_SCENE}` here",
-                _head(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`',
+                _first_line(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`',
             )  # fmt: skip
             return None
-        return self._named(own, spec.scene)
+        return self._named_scene(own, spec.scene)
 
-    def _named(self, own: Path, name: Text) -> Path | None:
+    def _named_scene(self, own: Path, name: Text) -> Path | None:
         """Return the named scene next to a program, or in a granted root."""
         roots = Roots(own.resolve().parent, self.grants)
         try:
-            roots.exists(name.text)
+            roots.file_size(name.text)
         except PathRefused as refused:
             self.nowhere.error(refused.code, str(refused), name.span, refused.help)
             return None
         path = roots.path(name.text)
         return own.parent / name.text if (own.parent / name.text).resolve() == path.resolve() else path
 
-    def runs(self, seeds: int | None) -> list[Run]:
+    def make_runs(self, seeds: int | None) -> list[Run]:
         made: dict[tuple[int, int], Run] = {}
         for scene, spec in self.found.values():
-            shot = self._shot(scene, spec.changes)
-            plan = None if shot is None else self._plan(shot, spec, scene)
-            other = None if spec.against is None or plan is None else self._opponent(scene, spec)
+            shot = self._open_shot(scene, spec.changes)
+            plan = None if shot is None else self._find_plan(shot, spec, scene)
+            other = None if spec.against is None or plan is None else self._find_opponent(scene, spec)
             if shot is None or plan is None or (spec.against is not None and other is None):
                 continue
             for seed in range(1, seeds + 1) if seeds else spec.seeds or (shot.scene.model.seed,):
                 run = made.setdefault((id(shot), seed), Run(shot, seed, []))
                 run.cases.append(Case(plan.spec, plan, scene, seed, against=other))
-        self.report.extend(in_one(self.nowhere))
+        self.report.extend(merge_repeats(self.nowhere))
         return list(made.values())
 
-    def _opponent(self, scene: Path, spec: Spec) -> Opponent | None:
+    def _find_opponent(self, scene: Path, spec: Spec) -> Opponent | None:
         """Return the other run of a comparing spec. The spec's own changes also apply there, unless `against` changes the same
         names."""
         assert spec.against is not None
         if spec.against.scene is not None:
-            scene_path = self._named(Path(spec.span.source.path), spec.against.scene)
+            scene_path = self._named_scene(Path(spec.span.source.path), spec.against.scene)
             if scene_path is None:
                 return None
             scene = scene_path
         mine = {change.name for change in spec.against.changes}
-        shot = self._shot(scene, (*(c for c in spec.changes if c.name not in mine), *spec.against.changes))
-        plan = None if shot is None else self._plan(shot, spec, scene)
+        shot = self._open_shot(scene, (*(c for c in spec.changes if c.name not in mine), *spec.against.changes))
+        plan = None if shot is None else self._find_plan(shot, spec, scene)
         return None if shot is None or plan is None else Opponent(shot, plan)
 
-    def _shot(self, scene: Path, changes: tuple[Changed, ...]) -> Shot | None:
+    def _open_shot(self, scene: Path, changes: tuple[SpecChange, ...]) -> Shot | None:
         key = (scene.resolve(), tuple(sorted(f"{c.name} = {' '.join(c.value.span.text.split())}" for c in changes)))
         if key not in self.shots:
             shot, report = open_scene(scene, Choices(self.grants, changes=changes), parsed=self.parsed)
@@ -191,12 +191,12 @@ class _Finder:
             self.shots[key] = shot
         return self.shots[key]
 
-    def _plan(self, shot: Shot, spec: Spec, scene: Path) -> SpecPlan | None:
+    def _find_plan(self, shot: Shot, spec: Spec, scene: Path) -> SpecPlan | None:
         """Return the spec as the scene's own program has it, which may have more species than the file alone."""
-        mine = _same(shot.program, spec)
+        mine = _same_spec(shot.program, spec)
         if mine is None:
             self.report.error(
-                "other-scene", f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`", _head(spec),
+                "other-scene", f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`", _first_line(spec),
                 "name a scene that uses this program, or add a line to its `crowd`",
             )  # fmt: skip
             return None
@@ -205,12 +205,12 @@ class _Finder:
         return plan
 
 
-def _same(program: Program, spec: Spec) -> Spec | None:
+def _same_spec(program: Program, spec: Spec) -> Spec | None:
     place = (spec.span.source, spec.span.start)
     return next((each for each in program.specs if (each.span.source, each.span.start) == place), None)
 
 
-def _head(spec: Spec) -> Span:
+def _first_line(spec: Spec) -> Span:
     """The first line of a spec."""
     source, start = spec.span.source, spec.span.start
     end = source.text.find("\n", start)
@@ -227,16 +227,16 @@ class Verdict:
     holds: bool | None
 
 
-def settle(cases: Sequence[Case]) -> list[Verdict]:
+def settle_verdicts(cases: Sequence[Case]) -> list[Verdict]:
     """Return the verdicts after all runs. Failures in a spec of which enough seeds passed become `allowed`."""
     groups: dict[tuple[str, int, str], list[Case]] = {}
     for case in cases:
         if case.spec.share < 1:
             groups.setdefault((case.spec.span.source.path, case.spec.span.start, str(case.scene)), []).append(case)
-    return [_settled(group) for group in groups.values()]
+    return [_settle_group(group) for group in groups.values()]
 
 
-def _settled(group: list[Case]) -> Verdict:
+def _settle_group(group: list[Case]) -> Verdict:
     passed = sum(case.outcome == "passed" for case in group)
     if any(case.outcome == "waiting" for case in group):
         return Verdict(group[0].spec, passed, len(group), None)

@@ -10,7 +10,7 @@ import numpy as np
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import JudgementPlan, SpecPlan
 from antdsl.runtime.world import World
-from antdsl.specs.lines import Line, about_the_whole, in_steps
+from antdsl.specs.lines import Line, duration_in_steps, observe_whole
 from antdsl.specs.queries import Questioner
 
 Place = tuple[str, int]
@@ -23,7 +23,9 @@ class ComparedRun:
     def __init__(self, plan: SpecPlan, world: World) -> None:
         self.asker = Questioner(plan, world)
         self.plan, self.first, self.dt = plan, world.frame, world.dt
-        self.lines = {_place(j): Line(j, None, in_steps(world, j.held)) for j in plan.judgements if j.kind == "sooner"}
+        self.lines = {
+            _line_key(j): Line(j, None, duration_in_steps(world, j.held)) for j in plan.judgements if j.kind == "sooner"
+        }
         self.when: dict[Place, int] = {}
         self.seen: list[Mapping[str, Any]] = []
         self.blank = {each.name: np.float32(np.nan) for each in plan.others}
@@ -35,7 +37,7 @@ class ComparedRun:
         for place, line in self.lines.items():
             assert isinstance(line.plan.condition, ir.Node)
             holds = bool(self.asker.value(world, line.plan.condition))
-            if len(line.look(about_the_whole(world.frame, False, self.first, holds, None))):
+            if len(line.look(observe_whole(world.frame, False, self.first, holds, None))):
                 self.when.setdefault(place, world.frame - self.first)
 
     def values(self, frame: int) -> Mapping[str, Any]:
@@ -44,9 +46,9 @@ class ComparedRun:
 
     def steps_until_held(self, line: JudgementPlan) -> int | None:
         """Return after how many steps a `sooner` held in the other run; None if it never did."""
-        return self.when.get(_place(line))
+        return self.when.get(_line_key(line))
 
 
-def _place(line: JudgementPlan) -> Place:
+def _line_key(line: JudgementPlan) -> Place:
     """Return a line's location in the text, which is the same in both runs."""
     return line.span.source.path, line.span.start

@@ -15,7 +15,7 @@ Key = tuple[str, int, str]  # source, place in it, name
 
 
 @dataclass(slots=True)
-class Counted:
+class CoverageEntry:
     """A state (`forager.main.search`) or a change by its key (`forager.main.search->approach#1`), with its count: agents in a
     state per frame, or agents that changed."""
 
@@ -30,15 +30,15 @@ class _Machine:
 
     species: str
     name: str
-    states: tuple[Counted, ...]
-    changes: tuple[Counted, ...]
+    states: tuple[CoverageEntry, ...]
+    changes: tuple[CoverageEntry, ...]
     taking: tuple[int, ...]
 
 
 @dataclass(slots=True)
 class Coverage:
-    states: dict[Key, Counted] = field(default_factory=dict)
-    changes: dict[Key, Counted] = field(default_factory=dict)
+    states: dict[Key, CoverageEntry] = field(default_factory=dict)
+    changes: dict[Key, CoverageEntry] = field(default_factory=dict)
 
     @property
     def share(self) -> float:
@@ -60,14 +60,14 @@ class Coverage:
         return _Machine(
             species,
             machine.name,
-            tuple(self._known(self.states, f"{species}.{machine.name}.{s.name}", s.span) for s in machine.states),
-            tuple(self._known(self.changes, change.key, change.span) for change in pairs),
+            tuple(self._get_entry(self.states, f"{species}.{machine.name}.{s.name}", s.span) for s in machine.states),
+            tuple(self._get_entry(self.changes, change.key, change.span) for change in pairs),
             tuple(number for number, change in enumerate(pairs, 1) if change.take is not None),
         )
 
     @staticmethod
-    def _known(table: dict[Key, Counted], name: str, span: Span) -> Counted:
-        return table.setdefault((span.source.path, span.start, name), Counted(name, span))
+    def _get_entry(table: dict[Key, CoverageEntry], name: str, span: Span) -> CoverageEntry:
+        return table.setdefault((span.source.path, span.start, name), CoverageEntry(name, span))
 
 
 def _count_states(machine: _Machine, states: np.ndarray) -> None:
@@ -77,10 +77,10 @@ def _count_states(machine: _Machine, states: np.ndarray) -> None:
 
 def _count_all(world: World, machines: list[_Machine]) -> None:
     for machine in machines:
-        _count(world, machine)
+        _count_changes(world, machine)
 
 
-def _count(world: World, machine: _Machine) -> None:
+def _count_changes(world: World, machine: _Machine) -> None:
     """Count a step. Call it after all agents have acted, before those that die in it are removed. Changes are numbered as in
     `plan.machines`."""
     population = world.populations[machine.species]

@@ -12,18 +12,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from antdsl.loading import display_path
-from antdsl.outputs.cache.cache_writer import ForeignFolder, InTheWay, prepare_folder
+from antdsl.outputs.cache.cache_writer import ForeignFolder, PathBlocked, prepare_folder
 from antdsl.outputs.cache.frames import static_arrays
 from antdsl.outputs.recording import Recording, record
 from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.program.model import Const, Expr
-from antdsl.program.tables.units import measure, unit_of
+from antdsl.program.tables.units import default_unit, measure
 from antdsl.program.types.folding import constant_behind
-from antdsl.runtime import Built, CheckpointError, Options, World, bind, checkpoint, restore, state_hash
+from antdsl.runtime import BindingCache, CheckpointError, Options, World, bind, checkpoint, restore, state_hash
 from antdsl.runtime.checkpoints import Arrays
-from antdsl.scene.matching import const_base
-from antdsl.scene.quantities import BadQuantity, parse_quantity
+from antdsl.scene.matching import const_in_base_units
+from antdsl.scene.quantities import QuantityError, parse_quantity
 from antdsl.scene.setting import Setting
 from antdsl.scene.values import FrameRange
 from antdsl.specs.cases import Case, Run, SavedFrames
@@ -43,11 +43,11 @@ class FailurePoint:
     arrays: Arrays
 
     @property
-    def begins(self) -> int:
+    def first_frame(self) -> int:
         return int(self.arrays["frame"])
 
 
-class Trail:
+class StateCopies:
     """Copies of a run's state, of which only the last one is stored. If anything moves by the scene's frames, only the first copy
     is stored, because the run can only continue from there."""
 
@@ -55,7 +55,7 @@ class Trail:
         self.whole = bool(setting.moves) or (setting.camera is not None and len(setting.camera.at) > 1)
         self.last: Arrays | None = None
 
-    def keep(self, world: World) -> None:
+    def store_copy(self, world: World) -> None:
         """Store a copy if it is due. Call it for each frame after it was judged."""
         if self.last is None or (not self.whole and world.frame >= int(self.last["frame"]) + EVERY):
             self.last = checkpoint(world)
@@ -74,25 +74,25 @@ class FailureSaver:
     options: Options
     count: int = 0
 
-    def save(self, run: Run, case: Case, failure_point: FailurePoint, built: Built) -> SavedFrames:
+    def save(self, run: Run, case: Case, failure_point: FailurePoint, built: BindingCache) -> SavedFrames:
         """Simulate up to the failure again, into a cache. Problems are reported in the `SavedFrames`."""
         self.count += 1
         if self.count > MOST:
             return SavedFrames(None, f"not saved: only the first {MOST} are")
         above = self.folder if self.folder is not None else case.scene.parent / "out" / "failed"
-        folder = above / f"{slug(case.name)}-{case.seed}"
+        folder = above / f"{folder_name(case.name)}-{case.seed}"
         named = (case.scene.parent, "out", "failed") if self.folder is None else (above,)
         link = first_link(*named, folder.name)
         if link is not None:
             return SavedFrames(None, f"not saved: `{display_path(link)}` is a link; name a folder with `--keep`")
-        params = {change.name: _flag(run.shot, change.value) for change in case.spec.changes}
-        frames = FrameRange(failure_point.begins, max(run.shot.frames.last, failure_point.frame + 1))
+        params = {change.name: _flag_value(run.shot, change.value) for change in case.spec.changes}
+        frames = FrameRange(failure_point.first_frame, max(run.shot.frames.last, failure_point.frame + 1))
         shot, report = open_scene(case.scene, Choices(self.grants, frames, run.seed, params))
         if shot is None:
             return SavedFrames(None, f"not saved: {report.errors[0].message}")
         try:
             last_hash = self._record(shot, folder, failure_point, built)
-        except (OSError, ForeignFolder, InTheWay, StartError, CheckpointError) as why:
+        except (OSError, ForeignFolder, PathBlocked, StartError, CheckpointError) as why:
             return SavedFrames(None, f"not saved: {str(why).lower()}")
         words = [f"--root {shlex.quote(f'{name}={path}')}" for name, path in self.grants.items()]
         words += [f"--set {shlex.quote(f'{name}={text}')}" for name, text in params.items()]
@@ -101,17 +101,19 @@ class FailureSaver:
         failed = failure_point.frame + (failure_point.hash is None)  # a step with a fault is not saved
         agent_ids = next((f.agents for f in case.failures if f.frame == failed and f.agents), ())
         agents = f" --agents {','.join(map(str, agent_ids))} --show trail,ids" if agent_ids else ""
-        first = max(failure_point.begins, failure_point.frame - 1)
+        first = max(failure_point.first_frame, failure_point.frame - 1)
         look = f"antdsl render {folder_text} --frames {first}..{failure_point.frame}{agents}"
         same = failure_point.hash is None or last_hash == failure_point.hash
         note = "" if same else "what was saved came out differently, which is a mistake of antdsl"
-        return SavedFrames(folder, note, failure_point.begins, failure_point.frame, look, f"{again} --out {folder_text} --resume")
+        return SavedFrames(
+            folder, note, failure_point.first_frame, failure_point.frame, look, f"{again} --out {folder_text} --resume"
+        )
 
-    def _record(self, shot: Shot, folder: Path, failure_point: FailurePoint, built: Built) -> str:
+    def _record(self, shot: Shot, folder: Path, failure_point: FailurePoint, built: BindingCache) -> str:
         """Write the frames from the copy to the failure; return the hash of the last."""
         model = shot.scene.model
         output = model.output.model_copy(update={"checkpoint": 1})
-        short = FrameRange(failure_point.begins, failure_point.frame)
+        short = FrameRange(failure_point.first_frame, failure_point.frame)
         scene = shot.scene.changed(output=output, frames=short, preroll=0)
         begins = source_of(shot)
         if begins is not None and begins.resolve() == folder.resolve():
@@ -126,20 +128,20 @@ class FailureSaver:
         return recording.hash
 
 
-def slug(name: str) -> str:
+def folder_name(name: str) -> str:
     """Return a name as a folder name: letters, digits and hyphens."""
     return "-".join(re.findall("[a-z0-9]+", name.lower()))[:60].strip("-") or "spec"
 
 
-def _flag(shot: Shot, value: Expr) -> str:
+def _flag_value(shot: Shot, value: Expr) -> str:
     """Return a changed value as `--set` takes it: as in the source, or its number with a unit if it was computed."""
     text = "".join(value.span.text.split())
     try:
         parse_quantity(text)
-    except BadQuantity:
+    except QuantityError:
         known = constant_behind(value)
         assert isinstance(known, Const)
-        unit = unit_of(known.type.dim)
+        unit = default_unit(known.type.dim)
         one = measure(unit)
-        return f"{const_base(known, shot.scene) / (1.0 if one is None else one.factor)!r}{unit}"
+        return f"{const_in_base_units(known, shot.scene) / (1.0 if one is None else one.factor)!r}{unit}"
     return text

@@ -14,9 +14,9 @@ from antdsl.plan.lowering.spec_blocks import JudgementPlan, ReadingPlan, SpecPla
 from antdsl.runtime.world import World
 from antdsl.specs.cases import MOST_NAMED_AGENTS, Failure
 from antdsl.specs.comparison import ComparedRun
-from antdsl.specs.lines import Ids, Line, Observation, about_the_whole, in_steps
-from antdsl.specs.queries import Questioner, by_id
-from antdsl.specs.value_text import format_value, whereabouts
+from antdsl.specs.lines import Ids, Line, Observation, duration_in_steps, observe_whole
+from antdsl.specs.queries import Questioner, extend_table
+from antdsl.specs.value_text import agent_whereabouts, format_value
 from antdsl.syntax.words import NUMBER
 
 _NUMBER = re.compile(NUMBER)
@@ -30,7 +30,7 @@ class Judge:
         self.plan, self.first, self.rival = plan, world.frame, compared_run
         self.asker = Questioner(plan, world)
         self.last = last_frame(plan, world, last)
-        self.lines = [Line(j, in_steps(world, j.time), in_steps(world, j.held)) for j in plan.judgements]
+        self.lines = [Line(j, duration_in_steps(world, j.time), duration_in_steps(world, j.held)) for j in plan.judgements]
         self.failures: list[Failure] = []
         self.over = False
 
@@ -45,13 +45,13 @@ class Judge:
         for line in self.lines:
             if line.open and line.plan.kind != "until" and (final or not line.plan.at_end):
                 observation = self._observe(world, spec_world, line, final)
-                failed = self._race(line, observation) if line.plan.kind == "sooner" else line.look(observation)
+                failed = self._check_race(line, observation) if line.plan.kind == "sooner" else line.look(observation)
                 if len(failed):
-                    self._failed(world, spec_world, line, failed)
+                    self._record_failure(world, spec_world, line, failed)
         for line in self.lines:
             if line.plan.kind == "until" and line.plan.species is not None:
                 released_ids = line.look(self._observe(world, spec_world, line, final))
-                line.fine = by_id(line.fine, spec_world.populations[line.plan.species].ids, False)
+                line.fine = extend_table(line.fine, spec_world.populations[line.plan.species].ids, False)
                 line.fine[released_ids] = True
         self.over = final or not any(line.open for line in self.lines if line.plan.kind != "until")
 
@@ -59,47 +59,51 @@ class Judge:
         plan = line.plan
         if plan.species is None:
             since = None if plan.since is None else self._holds(world, plan.since)
-            return about_the_whole(world.frame, final, self.first, self._holds(world, plan.condition), since)
+            return observe_whole(world.frame, final, self.first, self._holds(world, plan.condition), since)
         judged = spec_world.populations[plan.species]
         assert isinstance(plan.condition, str)
         since_flags = None if plan.since is None else judged.now[str(plan.since)].astype(np.bool_)
         holds = judged.now[plan.condition].astype(np.bool_)
         first_frames = np.maximum(judged.born, self.first)
-        return Observation(world.frame, final, judged.ids, first_frames, holds, since_flags, self._released(line, judged.ids))
+        return Observation(
+            world.frame, final, judged.ids, first_frames, holds, since_flags, self._find_released(line, judged.ids)
+        )
 
     def _holds(self, world: World, node: ir.Node | str) -> bool:
         """Evaluate a condition on the whole; NaN makes it false."""
         assert isinstance(node, ir.Node)
         return bool(self.asker.value(world, node))
 
-    def _released(self, line: Line, ids: Ids) -> NDArray[np.bool_]:
+    def _find_released(self, line: Line, ids: Ids) -> NDArray[np.bool_]:
         """Return the agents for which an `until` of the same block has held before this frame."""
         free = np.zeros(len(ids), np.bool_)
         for other in self.lines:
             if other.plan.kind == "until" and other.plan.block == line.plan.block:
-                free |= by_id(other.fine, ids, False)[ids]
+                free |= extend_table(other.fine, ids, False)[ids]
         return free
 
-    def _race(self, line: Line, observation: Observation) -> Ids:
+    def _check_race(self, line: Line, observation: Observation) -> Ids:
         """Judge `sooner`: the condition must hold here in an earlier frame, counted from the first, than in the other run."""
         assert self.rival is not None
         holds = bool(len(line.look(observation)))
         when = self.rival.steps_until_held(line.plan)
         lost = when is not None and observation.frame - self.first >= when
         if lost:
-            line.why = f"in the other run it was so after {self._seconds(when or 0)}"
+            line.why = f"in the other run it was so after {self._seconds_text(when or 0)}"
             line.why += ", no later than here" if holds else ", and here not yet"
         elif not holds and observation.final:
             lost, line.why = True, "the run is over, and in the other run it was not so either"
         line.open = not holds
         return observation.ids if lost else observation.ids[:0]
 
-    def _seconds(self, steps: int) -> str:
+    def _seconds_text(self, steps: int) -> str:
         return f"{steps * self.rival.dt:.6g} s" if self.rival is not None else ""
 
     # --- reporting ---------------------------------------------------------------------------------------------------
 
-    def _values(self, world: World, spec_world: World, plan: JudgementPlan, row: int | None) -> tuple[tuple[str, str], ...]:
+    def _format_values(
+        self, world: World, spec_world: World, plan: JudgementPlan, row: int | None
+    ) -> tuple[tuple[str, str], ...]:
         reading_values: list[tuple[ReadingPlan, Any]] = []
         for reading in plan.readings:
             if reading.node is not None:
@@ -108,7 +112,7 @@ class Judge:
                 reading_values.append((reading, spec_world.populations[plan.species].now[reading.register][row]))  # type: ignore[index]
         return _format_readings(world, reading_values, plan.span.text)
 
-    def _failed(self, world: World, spec_world: World, line: Line, agents: Ids) -> None:
+    def _record_failure(self, world: World, spec_world: World, line: Line, agents: Ids) -> None:
         """Close a line and report the values of the whole, or of the failed agent with the least id."""
         line.open = False
         plan, fps = line.plan, float(world.setting.fps)
@@ -118,7 +122,7 @@ class Judge:
             row = int(spec_world.populations[plan.species].rows_of(np.array([least]))[0])
             if row >= 0:
                 self.asker.run(spec_world, "blend", plan.species, np.array([row]))
-        values = self._values(world, spec_world, plan, row)
+        values = self._format_values(world, spec_world, plan, row)
         text = " ".join(plan.span.text.split())
         message = f"{text}{f' ({line.why})' if line.why else ''}"
         failure = Failure(message, plan.span, world.frame, (world.frame - self.first) / fps, values)
@@ -126,15 +130,15 @@ class Judge:
             named = tuple(int(each) for each in np.sort(agents)[:MOST_NAMED_AGENTS])
             there_still = row is not None and row >= 0
             failure = replace(
-                failure, agent=(plan.species, least), others=len(agents) - 1, agents=named, began=line.began(least),
-                whereabouts=whereabouts(world, plan.species, row or 0) if there_still else (),
+                failure, agent=(plan.species, least), others=len(agents) - 1, agents=named, began=line.start_frame(least),
+                whereabouts=agent_whereabouts(world, plan.species, row or 0) if there_still else (),
             )  # fmt: skip
         self.failures.append(failure)
 
 
 def last_frame(plan: SpecPlan, world: World, last: int) -> int:
     """Return the last frame of a spec that begins now: that of the scene, or after the spec's `for`."""
-    steps = in_steps(world, plan.duration)
+    steps = duration_in_steps(world, plan.duration)
     return last if steps is None else world.frame + steps
 
 

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from antdsl.plan import ir
 from antdsl.plan.lowering.spec_blocks import JudgementPlan
 from antdsl.runtime.world import World
-from antdsl.specs.aggregates import value_of
-from antdsl.specs.queries import by_id
+from antdsl.specs.aggregates import evaluate_uniform
+from antdsl.specs.queries import extend_table
 
 Ids = NDArray[np.int64]
 Truths = NDArray[np.bool_]
@@ -38,7 +38,7 @@ class Observation:
     free: Truths
 
 
-def about_the_whole(frame: int, final: bool, first: int, holds: bool, since: bool | None) -> Observation:
+def observe_whole(frame: int, final: bool, first: int, holds: bool, since: bool | None) -> Observation:
     """One frame of a line about the whole."""
     since_flags = None if since is None else np.array([since])
     return Observation(
@@ -46,11 +46,11 @@ def about_the_whole(frame: int, final: bool, first: int, holds: bool, since: boo
     )
 
 
-def in_steps(world: World, time: ir.Node | None) -> int | None:
+def duration_in_steps(world: World, time: ir.Node | None) -> int | None:
     """Return a duration in whole steps, rounded up. Its float32 value may lie slightly above."""
     if time is None:
         return None
-    return max(1, ceil(float(value_of(world, time, {})) * float(world.setting.fps) * (1 - 1e-6)))
+    return max(1, ceil(float(evaluate_uniform(world, time, {})) * float(world.setting.fps) * (1 - 1e-6)))
 
 
 @dataclass(slots=True, eq=False)
@@ -73,19 +73,19 @@ class Line:
         """Return which agents fail in this frame. `why`: the reason in words, empty if the condition alone is the reason."""
         self.why = ""
         if self.held is not None:
-            self.count = by_id(self.count, observation.ids, 0)
+            self.count = extend_table(self.count, observation.ids, 0)
             self.count[observation.ids] = np.where(observation.holds, self.count[observation.ids] + 1, 0)
             observation.holds = self.count[observation.ids] > self.held
         if observation.since is not None:
             return _SINCE[self.plan.kind](self, observation)
         return _KINDS[self.plan.kind](self, observation)
 
-    def began(self, agent: int) -> int | None:
+    def start_frame(self, agent: int) -> int | None:
         """Return the frame in which an agent's expired waiting time began, if the line has a `when`."""
         known = self.plan.since is not None and agent < len(self.pending)
         return int(self.pending[agent]) if known and self.pending[agent] != _NEVER else None
 
-    def _left(self, observation: Observation, waiting: Truths) -> Ids:
+    def _find_removed(self, observation: Observation, waiting: Truths) -> Ids:
         """Return the agents that waited before and no longer exist. `waiting`, by row: those that wait now."""
         is_present = np.zeros(max(int(observation.ids.max(initial=-1)), int(self.waiting.max(initial=-1))) + 1, np.bool_)
         is_present[observation.ids] = True
@@ -117,10 +117,10 @@ def _for(line: Line, observation: Observation) -> Ids:
 
 def _eventually(line: Line, observation: Observation) -> Ids:
     """Return the failed ids of `eventually`, and of `within`, which also fails when its time is over."""
-    line.fine = by_id(line.fine, observation.ids, False)
+    line.fine = extend_table(line.fine, observation.ids, False)
     line.fine[observation.ids[observation.holds | observation.free]] = True
     waiting = ~line.fine[observation.ids]
-    removed_ids = line._left(observation, waiting)
+    removed_ids = line._find_removed(observation, waiting)
     if len(removed_ids):
         line.why = LEFT
         return removed_ids
@@ -141,10 +141,10 @@ def _eventually(line: Line, observation: Observation) -> Ids:
 # --- after a `when` --------------------------------------------------------------------------------------------------
 
 
-def _comes(line: Line, observation: Observation) -> Truths:
+def _has_begun(line: Line, observation: Observation) -> Truths:
     """Return where `since` holds now and did not in the frame before."""
     assert observation.since is not None
-    line.was, line.pending = by_id(line.was, observation.ids, False), by_id(line.pending, observation.ids, _NEVER)
+    line.was, line.pending = extend_table(line.was, observation.ids, False), extend_table(line.pending, observation.ids, _NEVER)
     comes = observation.since & ~line.was[observation.ids]
     line.was[observation.ids] = observation.since
     return comes
@@ -152,13 +152,13 @@ def _comes(line: Line, observation: Observation) -> Truths:
 
 def _since_within(line: Line, observation: Observation) -> Ids:
     """Also `eventually`. Of several overlapping times, the first one counts: what ends it ends the others."""
-    comes = _comes(line, observation)
+    comes = _has_begun(line, observation)
     pending: Ids = line.pending[observation.ids]
     pending = np.where(comes & (pending == _NEVER), observation.frame, pending)
     pending[observation.holds | observation.free] = _NEVER
     line.pending[observation.ids] = pending
     waiting = pending != _NEVER
-    removed_ids = line._left(observation, waiting)
+    removed_ids = line._find_removed(observation, waiting)
     if len(removed_ids):
         line.why = LEFT
         return removed_ids
@@ -177,7 +177,7 @@ def _since_within(line: Line, observation: Observation) -> Ids:
 def _since_for(line: Line, observation: Observation) -> Ids:
     """Of several overlapping times, the last one counts: it ends after the others."""
     assert line.steps is not None
-    comes = _comes(line, observation)
+    comes = _has_begun(line, observation)
     line.pending[observation.ids[comes]] = observation.frame
     under_way = observation.frame <= line.pending[observation.ids] + line.steps
     return observation.ids[under_way & ~observation.holds & ~observation.free]

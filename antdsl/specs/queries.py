@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from antdsl.casting.rays import RayScene
 from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
-from antdsl.plan.lowering.spec_blocks import OtherPlan, SpecPlan, StartPlan, WholePlan
-from antdsl.plan.traverse import needed, operands, statements
+from antdsl.plan.lowering.spec_blocks import AggregatePlan, OtherRunPlan, SpecPlan, StartPlan
+from antdsl.plan.traverse import operands, required_nodes, statements
 from antdsl.program.expectations import MOTION
 from antdsl.runtime.backends import BACKENDS
 from antdsl.runtime.lifecycle import find_cells
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import AXES, DTYPES, Items, Population, World
 from antdsl.senses.overlaps import worst_overlaps
-from antdsl.specs.aggregates import evaluate_aggregate, value_of
+from antdsl.specs.aggregates import evaluate_aggregate, evaluate_uniform
 
 Floats = NDArray[np.float32]
 _UNKNOWN = 1e300  # what no float32 can be: of agents that were not there yet
@@ -37,14 +37,14 @@ class Questioner:
         self.plan = plan
         self.backend: Any = BACKENDS[world.options.backend](plan.plan)
         self.values: dict[str, Any] = {}
-        known: list[WholePlan | StartPlan | OtherPlan] = [*plan.wholes, *plan.starts, *plan.others]
+        known: list[AggregatePlan | StartPlan | OtherRunPlan] = [*plan.wholes, *plan.starts, *plan.others]
         self.names = [each.name for each in known] + [f"motion.{name}" for name in MOTION]
         self.starts: dict[str, NDArray[np.float64]] = {}  # by id
-        self.smelling = {name for name, species in plan.plan.species.items() if _smells(species)}
+        self.smelling = {name for name, species in plan.plan.species.items() if _has_field_requests(species)}
 
     def value(self, world: World, node: ir.Node) -> Any:
         """A number of the whole."""
-        return value_of(world, node, self.values)
+        return evaluate_uniform(world, node, self.values)
 
     def ask(self, world: World, others: Mapping[str, Any]) -> World:
         """Return a copy of the world in which every agent and item has answered. `others`: numbers of the run compared with."""
@@ -60,7 +60,7 @@ class Questioner:
             {},
             None,
         )
-        spec_world.populations = {name: self._judged(spec_world, name) for name in self.plan.plan.species}
+        spec_world.populations = {name: self._make_respondents(spec_world, name) for name in self.plan.plan.species}
         spec_world.spec_values = dict.fromkeys(self.names, np.float32(0))  # no value is computed yet
         self.backend.begin(spec_world)
         self.run(spec_world, "decide")
@@ -69,9 +69,9 @@ class Questioner:
         for start in self.plan.starts:
             if start.value is not None:
                 if start.name not in self.values:
-                    self.values[start.name] = value_of(world, start.value, self.values)
+                    self.values[start.name] = evaluate_uniform(world, start.value, self.values)
             elif start.species is not None and start.source_register is not None:
-                self._remember(spec_world.populations[start.species], start.name, start.source_register)
+                self._record_first(spec_world.populations[start.species], start.name, start.source_register)
         spec_world.spec_values |= {name: np.float32(number) for name, number in self.values.items()}
         self.backend.begin(spec_world)
         self.run(spec_world, "act")
@@ -89,53 +89,55 @@ class Questioner:
             value = radians(number) if MOTION[name] == "angle" else number
             self.values[f"motion.{name}"] = np.float32(np.nan if unknown else value)
 
-    def _judged(self, spec_world: World, name: str) -> Population:
+    def _make_respondents(self, spec_world: World, name: str) -> Population:
         """Return all agents of a species, all items of a name or all cells of a field, to be queried one by one."""
         if name in spec_world.items:
-            return self._items(spec_world.items[name])
+            return self._item_population(spec_world.items[name])
         return (
-            self._cells(spec_world, name) if name in spec_world.fields else self._agents(spec_world, spec_world.populations[name])
+            self._cell_population(spec_world, name)
+            if name in spec_world.fields
+            else self._agent_population(spec_world, spec_world.populations[name])
         )
 
-    def _cells(self, spec_world: World, name: str) -> Population:
+    def _cell_population(self, spec_world: World, name: str) -> Population:
         """Cells of a field as if they were agents."""
         plan, values = self.plan.plan.species[name], np.asarray(spec_world.fields[name].values)
         start, count = {"value": values.astype(np.float32)}, len(values)
         nowhere = np.broadcast_to(np.zeros(3), (count, 3))
-        now = _answers(plan.registers, start, count)
+        now = _answer_arrays(plan.registers, start, count)
         return _make_population(plan, start, now, nowhere)
 
-    def _agents(self, spec_world: World, population: Population) -> Population:
+    def _agent_population(self, spec_world: World, population: Population) -> Population:
         """Return a population with the same agents and with registers for answers."""
         respondents = copy(population)
         respondents.plan, respondents.effects, respondents.cells = self.plan.plan.species[population.name], Effects(), {}
         count = len(population)
         registers = respondents.plan.registers
-        respondents.now = _answers(registers, population.start, count)
+        respondents.now = _answer_arrays(registers, population.start, count)
         for name in self.plan.bodily.get(population.name, ()):
-            respondents.now[f"geometry.{name}"] = measured(spec_world, population, name)
+            respondents.now[f"geometry.{name}"] = measure_geometry(spec_world, population, name)
         respondents.start = {**population.start, **respondents.now}
         if population.name in self.smelling:
             find_cells(spec_world, respondents)
         return respondents
 
-    def _items(self, items: Items) -> Population:
+    def _item_population(self, items: Items) -> Population:
         """Return items as if they were agents of a separate species."""
         plan, count = self.plan.plan.species[items.name], len(items)
         start = {f"position.{axis}": items.visible_values[axis] for axis in AXES}
         start |= {name: items.visible_values[name] for name in ("radius", *items.amounts)}
-        now = _answers(plan.registers, start, count)
+        now = _answer_arrays(plan.registers, start, count)
         return _make_population(plan, start, now, items.position)
 
-    def _remember(self, judged: Population, name: str, register: str) -> None:
+    def _record_first(self, judged: Population, name: str, register: str) -> None:
         """Copy the value of a number in each agent's first frame to the register that the conditions read."""
         ids, now = judged.ids, judged.now[register]
-        values = self.starts[name] = by_id(self.starts.get(name, np.zeros(0)), ids, _UNKNOWN)
+        values = self.starts[name] = extend_table(self.starts.get(name, np.zeros(0)), ids, _UNKNOWN)
         values[ids] = np.where(values[ids] == _UNKNOWN, now, values[ids])
         judged.start[name] = values[ids].astype(np.float32)
 
 
-def by_id(table: NDArray[Any], ids: NDArray[np.int64], unknown: Any) -> NDArray[Any]:
+def extend_table(table: NDArray[Any], ids: NDArray[np.int64], unknown: Any) -> NDArray[Any]:
     """Return the table, extended to every existing id; ids count from 0."""
     missing_count = int(ids.max(initial=-1)) + 1 - len(table)
     return table if missing_count <= 0 else np.concatenate([table, np.full(max(missing_count, len(table)), unknown, table.dtype)])
@@ -150,21 +152,21 @@ def _make_population(
     return Population(plan, ids, np.zeros(n, np.int64), no_flags, start, now, place, Footing.nowhere(n), {}, {})
 
 
-def _answers(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
+def _answer_arrays(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:
     """Return arrays for the results of the blocks; a number that is not computed stays NaN."""
     own = [register for register in registers.values() if register.name not in known]
     return {r.name: np.full(count, np.nan if r.kind is ir.Kind.F32 else 0, DTYPES[r.kind]) for r in own}
 
 
-def _smells(species: ir.SpeciesPlan) -> bool:
+def _has_field_requests(species: ir.SpeciesPlan) -> bool:
     """Return whether a block reads the agent's own cell of a field."""
     operand_nodes = (
         node for block in (species.decide, species.act, species.blend) for _, s in statements(block) for node in operands(s)
     )
-    return any(node.op.startswith("field.") for node in needed(operand_nodes))
+    return any(node.op.startswith("field.") for node in required_nodes(operand_nodes))
 
 
-def measured(world: World, population: Population, name: str) -> Floats:
+def measure_geometry(world: World, population: Population, name: str) -> Floats:
     """Return a measure of GEOMETRY for each agent, float32[n]; lengths in mm."""
     return _MEASURES[name](world, population)
 
@@ -188,7 +190,7 @@ def _penetration(world: World, population: Population) -> Floats:
     for name in world.plan.of_kind("obstacle"):
         scene = world.obstacles.get(name)
         if isinstance(scene, RayScene):
-            depth = np.maximum(depth, scene.depth(population.position))
+            depth = np.maximum(depth, scene.depth_inside(population.position))
     for volume in world.solids.values():
         depth = np.maximum(depth, -volume.sample(population.position))
     return depth.astype(np.float32)

@@ -10,13 +10,13 @@ from xml.etree import ElementTree
 
 from antdsl.diagnostics import Diagnostic, Report
 from antdsl.diagnostics.full import full
-from antdsl.diagnostics.places import area, safe
+from antdsl.diagnostics.places import escape_text, line_range
 from antdsl.loading import display_path
 from antdsl.source import Span
 from antdsl.specs.cases import Case, Failure, SavedFrames
-from antdsl.specs.coverage import Counted, Coverage
+from antdsl.specs.coverage import Coverage, CoverageEntry
 from antdsl.specs.golden.recorded import GoldenResult
-from antdsl.specs.text_report import describe_failure, golden
+from antdsl.specs.text_report import describe_failure, describe_golden
 
 
 def as_json(cases: Sequence[Case], coverage: Coverage, report: Report, goldens: Sequence[GoldenResult] = ()) -> str:
@@ -24,10 +24,10 @@ def as_json(cases: Sequence[Case], coverage: Coverage, report: Report, goldens: 
     document = {
         "passed": sum(case.outcome == "passed" for case in cases),
         "failed": sum(case.outcome == "failed" for case in cases),
-        "specs": [_case(case) for case in cases],
-        "golden": [_golden(result) for result in goldens],
+        "specs": [_case_entry(case) for case in cases],
+        "golden": [_golden_entry(result) for result in goldens],
         "problems": [
-            {"code": d.code, "message": d.message, "place": _place(d.span), "help": d.help}
+            {"code": d.code, "message": d.message, "place": _location_entry(d.span), "help": d.help}
             for d in report.sorted()
             if d.severity == "error"
         ],
@@ -40,22 +40,22 @@ def as_json(cases: Sequence[Case], coverage: Coverage, report: Report, goldens: 
     return json.dumps(document, indent=1, ensure_ascii=False) + "\n"
 
 
-def _case(case: Case) -> dict[str, Any]:
+def _case_entry(case: Case) -> dict[str, Any]:
     return {
         "name": case.name,
-        "place": _place(case.spec.span),
+        "place": _location_entry(case.spec.span),
         "scene": display_path(case.scene),
         "seed": case.seed,
         "set": {change.name: change.value.span.text for change in case.spec.changes},
         "outcome": case.outcome,
         "frames": case.frames,
         "seconds": round(case.seconds, 3),
-        "failures": [_failure(failure) for failure in case.failures],
-        "kept": None if case.saved_frames is None else _saved(case.saved_frames),
+        "failures": [_failure_entry(failure) for failure in case.failures],
+        "kept": None if case.saved_frames is None else _saved_entry(case.saved_frames),
     }
 
 
-def _saved(saved: SavedFrames) -> dict[str, Any]:
+def _saved_entry(saved: SavedFrames) -> dict[str, Any]:
     folder = None if saved.folder is None else display_path(saved.folder)
     return {
         "folder": folder, "note": saved.note, "begins": saved.begins, "frame": saved.frame, "look": saved.look,
@@ -63,7 +63,7 @@ def _saved(saved: SavedFrames) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _golden(result: GoldenResult) -> dict[str, Any]:
+def _golden_entry(result: GoldenResult) -> dict[str, Any]:
     return {
         "scene": display_path(result.scene),
         "set": dict(result.changes),
@@ -78,10 +78,10 @@ def _golden(result: GoldenResult) -> dict[str, Any]:
     }
 
 
-def _failure(failure: Failure) -> dict[str, Any]:
+def _failure_entry(failure: Failure) -> dict[str, Any]:
     return {
         "message": failure.message,
-        "place": _place(failure.span),
+        "place": _location_entry(failure.span),
         "frame": failure.frame,
         "time": failure.time,
         "agent": None if failure.agent is None else {"species": failure.agent[0], "id": failure.agent[1]},
@@ -93,14 +93,14 @@ def _failure(failure: Failure) -> dict[str, Any]:
     }
 
 
-def _as_entry(each: Counted) -> dict[str, Any]:
-    return {"name": each.name, "place": _place(each.span), "count": each.count}
+def _as_entry(each: CoverageEntry) -> dict[str, Any]:
+    return {"name": each.name, "place": _location_entry(each.span), "count": each.count}
 
 
-def _place(span: Span | None) -> dict[str, Any] | None:
+def _location_entry(span: Span | None) -> dict[str, Any] | None:
     if span is None:
         return None
-    place = area(span)
+    place = line_range(span)
     return {"file": place.path, "line": place.line, "column": place.column}
 
 
@@ -112,29 +112,33 @@ def as_junit(cases: Sequence[Case], report: Report, goldens: Sequence[GoldenResu
     passed, counts as skipped. Golden runs, and errors in files that prevented specs from running, have separate suites."""
     errors = [d for d in report.sorted() if d.severity == "error"]
     differ = [result for result in goldens if result.outcome == "differs"]
-    root = ElementTree.Element("testsuites", {"name": "antdsl test"} | _counts(cases, len(errors), len(goldens), len(differ)))
+    root = ElementTree.Element(
+        "testsuites", {"name": "antdsl test"} | _junit_counts(cases, len(errors), len(goldens), len(differ))
+    )
     if errors:
-        suite = ElementTree.SubElement(root, "testsuite", {"name": "files"} | _counts((), len(errors)))
+        suite = ElementTree.SubElement(root, "testsuite", {"name": "files"} | _junit_counts((), len(errors)))
         for problem in errors:
             _junit_error(suite, problem)
     for path in dict.fromkeys(case.spec.span.source.path for case in cases):
         mine = [case for case in cases if case.spec.span.source.path == path]
-        suite = ElementTree.SubElement(root, "testsuite", {"name": safe(path)} | _counts(mine))
+        suite = ElementTree.SubElement(root, "testsuite", {"name": escape_text(path)} | _junit_counts(mine))
         for case in mine:
             _junit_case(suite, case)
     if goldens:
-        suite = ElementTree.SubElement(root, "testsuite", {"name": "golden runs"} | _counts((), 0, len(goldens), len(differ)))
+        suite = ElementTree.SubElement(
+            root, "testsuite", {"name": "golden runs"} | _junit_counts((), 0, len(goldens), len(differ))
+        )
         for result in goldens:
-            name = safe(f"{result.name}, seed {result.seed}")
-            testcase = ElementTree.SubElement(suite, "testcase", classname=safe(result.scene.stem), name=name)
+            name = escape_text(f"{result.name}, seed {result.seed}")
+            testcase = ElementTree.SubElement(suite, "testcase", classname=escape_text(result.scene.stem), name=name)
             if result.outcome == "differs":
                 message = f"differs from frame {result.frame} on"
-                ElementTree.SubElement(testcase, "failure", message=message, type="golden").text = golden(result)
+                ElementTree.SubElement(testcase, "failure", message=message, type="golden").text = describe_golden(result)
     ElementTree.indent(root)
     return '<?xml version="1.0" encoding="utf-8"?>\n' + ElementTree.tostring(root, encoding="unicode") + "\n"
 
 
-def _counts(cases: Sequence[Case], errors: int = 0, goldens: int = 0, differ: int = 0) -> dict[str, str]:
+def _junit_counts(cases: Sequence[Case], errors: int = 0, goldens: int = 0, differ: int = 0) -> dict[str, str]:
     numbers = {
         "tests": len(cases) + errors + goldens,
         "failures": sum(case.outcome == "failed" for case in cases) + differ,
@@ -145,16 +149,17 @@ def _counts(cases: Sequence[Case], errors: int = 0, goldens: int = 0, differ: in
 
 
 def _junit_error(suite: ElementTree.Element, problem: Diagnostic) -> None:
-    where = "antdsl" if problem.span is None else area(problem.span).path
-    case = ElementTree.SubElement(suite, "testcase", classname=safe(where), name=problem.code)
-    ElementTree.SubElement(case, "error", message=safe(problem.message), type=problem.code).text = full([problem], 0)
+    where = "antdsl" if problem.span is None else line_range(problem.span).path
+    case = ElementTree.SubElement(suite, "testcase", classname=escape_text(where), name=problem.code)
+    ElementTree.SubElement(case, "error", message=escape_text(problem.message), type=problem.code).text = full([problem], 0)
 
 
 def _junit_case(suite: ElementTree.Element, case: Case) -> None:
-    place = area(case.spec.span)
+    place = line_range(case.spec.span)
     name = f"{case.name} [{Path(case.scene).name}, seed {case.seed}]"
     testcase = ElementTree.SubElement(
-        suite, "testcase", classname=safe(Path(place.path).stem), name=safe(name), file=safe(place.path), line=str(place.line),
+        suite, "testcase", classname=escape_text(Path(place.path).stem), name=escape_text(name), file=escape_text(place.path),
+        line=str(place.line),
         time=f"{case.seconds:.3f}",
     )  # fmt: skip
     if case.outcome == "waiting":
@@ -164,6 +169,6 @@ def _junit_case(suite: ElementTree.Element, case: Case) -> None:
     elif case.failures:
         text = "\n".join(line for failure in case.failures for line in describe_failure(failure))
         if case.saved_frames is not None and case.saved_frames.folder is not None:
-            text += f"\nsee it: {safe(case.saved_frames.look)}\ngo on from it: {safe(case.saved_frames.again)}"
-        message = safe(case.failures[0].message)
+            text += f"\nsee it: {escape_text(case.saved_frames.look)}\ngo on from it: {escape_text(case.saved_frames.again)}"
+        message = escape_text(case.failures[0].message)
         ElementTree.SubElement(testcase, "failure", message=message, type="spec").text = text

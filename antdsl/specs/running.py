@@ -8,11 +8,11 @@ from dataclasses import dataclass, field, replace
 from time import perf_counter
 
 from antdsl.pipeline import Shot
-from antdsl.runtime import BindError, Built, FaultStop, Options, World, bind, step
+from antdsl.runtime import BindError, BindingCache, FaultStop, Options, World, bind, step
 from antdsl.specs.cases import Case, Failure, Run
 from antdsl.specs.comparison import ComparedRun
 from antdsl.specs.coverage import Coverage
-from antdsl.specs.failure_cache import FailurePoint, FailureSaver, Trail
+from antdsl.specs.failure_cache import FailurePoint, FailureSaver, StateCopies
 from antdsl.specs.golden.comparing import Goldens
 from antdsl.specs.judge import Judge, last_frame
 
@@ -31,7 +31,8 @@ class Work:
     goldens: Goldens | None = None
     report_case: Callable[[Case], None] = lambda case: None
     frame: FrameCallback = lambda run, frame, last: None
-    built: Built = field(default_factory=Built)  # runs of one scene differ by seeds and params and stand on the same ground
+    # runs of one scene differ by seeds and params and stand on the same ground
+    built: BindingCache = field(default_factory=BindingCache)
     messages: dict[str, None] = field(default_factory=dict)
     worlds: list[World] = field(default_factory=list)  # of the run under way
 
@@ -42,12 +43,12 @@ def run_cases(runs: Iterable[Run], work: Work) -> None:
         started = perf_counter()
         moments: dict[int, FailurePoint] = {}
         try:
-            _run(run, work, moments)
+            _judge_run(run, work, moments)
         except BindError as why:
             for problem in why.report.errors:
-                _fail(run, Failure(problem.message, problem.span))
+                _fail_cases(run, Failure(problem.message, problem.span))
         except (OSError, MemoryError) as why:
-            _fail(run, Failure(f"the run came to an end: {why or type(why).__name__}".lower(), None))
+            _fail_cases(run, Failure(f"the run came to an end: {why or type(why).__name__}".lower(), None))
         finally:
             for world in work.worlds:
                 work.messages |= dict.fromkeys(world.backend.messages())
@@ -58,22 +59,22 @@ def run_cases(runs: Iterable[Run], work: Work) -> None:
             if work.failure_saver is not None and id(case) in moments:
                 case.saved_frames = work.failure_saver.save(run, case, moments[id(case)], work.built)
             work.report_case(case)
-        work.built.forget()
+        work.built.drop_unused()
 
 
-def _fail(run: Run, failure: Failure) -> None:
+def _fail_cases(run: Run, failure: Failure) -> None:
     for case in run.cases:
         case.failures.append(failure)
 
 
-def _run(run: Run, work: Work, moments: dict[int, FailurePoint]) -> None:
+def _judge_run(run: Run, work: Work, moments: dict[int, FailurePoint]) -> None:
     """Simulate and judge. `moments` receives the first failure of each case, by its id."""
-    rivals = _rivals(run, work)
+    rivals = _run_compared(run, work)
     try:
-        world = _begin(run.shot, run.seed, work)
+        world = _make_world(run.shot, run.seed, work)
     except FaultStop as why:
-        return _faulted(run, why)
-    first, trail = world.frame, None if work.failure_saver is None else Trail(run.shot.setting)
+        return _fail_with_fault(run, why)
+    first, trail = world.frame, None if work.failure_saver is None else StateCopies(run.shot.setting)
     judges = [
         (case, Judge(case.plan, world, run.shot.frames.last, rivals.get(id(case)))) for case in run.cases if not case.failures
     ]
@@ -93,7 +94,7 @@ def _run(run: Run, work: Work, moments: dict[int, FailurePoint]) -> None:
         if all(judge.over for _, judge in judges) and (watch is None or watch.over):
             return None if watch is None else watch.end(world)
         if trail is not None:
-            trail.keep(world)
+            trail.store_copy(world)
         frame_number = world.frame
         try:
             step(world)
@@ -101,10 +102,10 @@ def _run(run: Run, work: Work, moments: dict[int, FailurePoint]) -> None:
             if trail is not None and trail.last is not None:
                 failure_point = FailurePoint(frame_number, None, trail.last)
                 moments |= {id(case): failure_point for case in run.cases if id(case) not in moments}
-            return _faulted(run, why)
+            return _fail_with_fault(run, why)
 
 
-def _begin(shot: Shot, seed: int, work: Work) -> World:
+def _make_world(shot: Shot, seed: int, work: Work) -> World:
     """The world at the first frame."""
     world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, built=work.built)
     work.worlds.append(world)
@@ -117,34 +118,34 @@ def _begin(shot: Shot, seed: int, work: Work) -> World:
     return world
 
 
-def _faulted(run: Run, why: FaultStop) -> None:
-    _fail(run, _fault(why, ""))
+def _fail_with_fault(run: Run, why: FaultStop) -> None:
+    _fail_cases(run, _describe_fault(why, ""))
 
 
-def _fault(why: FaultStop, where: str) -> Failure:
+def _describe_fault(why: FaultStop, where: str) -> Failure:
     fault = why.fault
     culprit = (fault.species, fault.agent)
     words = f"{where}`{fault.what}` {fault.why}"
     return Failure(words, fault.span, fault.frame, None, fault.operands, culprit, 0, (fault.agent,))
 
 
-def _rivals(run: Run, work: Work) -> dict[int, ComparedRun]:
+def _run_compared(run: Run, work: Work) -> dict[int, ComparedRun]:
     """Return the runs that cases compare with, by the case's id. Those of one shot are simulated once. A fault there fails these
     cases."""
     compared_runs: dict[int, ComparedRun] = {}
     for shot in {id(case.against.shot): case.against.shot for case in run.cases if case.against is not None}.values():
         mine = [case for case in run.cases if case.against is not None and case.against.shot is shot]
         try:
-            compared_runs |= _watched(run, work, shot, mine)
+            compared_runs |= _simulate_compared(run, work, shot, mine)
         except FaultStop as why:
             for case in mine:
-                case.failures.append(_fault(why, "in the run that is compared with, "))
+                case.failures.append(_describe_fault(why, "in the run that is compared with, "))
     return compared_runs
 
 
-def _watched(run: Run, work: Work, shot: Shot, cases: list[Case]) -> dict[int, ComparedRun]:
+def _simulate_compared(run: Run, work: Work, shot: Shot, cases: list[Case]) -> dict[int, ComparedRun]:
     """Simulate one run that cases compare with, to the last frame that one of them needs."""
-    world = _begin(shot, run.seed, work)
+    world = _make_world(shot, run.seed, work)
     first = world.frame
     rivals = {id(case): ComparedRun(case.against.plan, world) for case in cases if case.against is not None}
     last = max(last_frame(case.plan, world, first + run.shot.frames.last - run.shot.frames.first) for case in cases)

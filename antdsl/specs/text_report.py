@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from antdsl.diagnostics.places import safe
+from antdsl.diagnostics.places import escape_text
 from antdsl.loading import display_path
 from antdsl.specs.cases import Case, Failure, SavedFrames, Verdict
-from antdsl.specs.coverage import Counted, Coverage
+from antdsl.specs.coverage import Coverage, CoverageEntry
 from antdsl.specs.golden.recorded import GoldenResult
 
 _MOST_UNCOVERED = 20  # unreached states and transitions listed in words
@@ -16,19 +16,19 @@ _MOST_DIFFERENCES = 6
 
 def one_line(case: Case) -> str:
     """`passed  "no crumb is lost", seed 3: 240 frames, 1.2 s`."""
-    return f'{case.outcome:<7} "{safe(case.name)}", seed {case.seed}: {case.frames} frames, {case.seconds:.1f} s'
+    return f'{case.outcome:<7} "{escape_text(case.name)}", seed {case.seed}: {case.frames} frames, {case.seconds:.1f} s'
 
 
-def failed(case: Case) -> str:
+def describe_failed_case(case: Case) -> str:
     """Return the case's line, then each failure with its location, frame, agent and values; then how to view it."""
     lines = [one_line(case), *(f"  {line}" for failure in case.failures for line in describe_failure(failure))]
-    return "\n".join(lines + ([] if case.saved_frames is None else [f"  {line}" for line in _saved(case.saved_frames)]))
+    return "\n".join(lines + ([] if case.saved_frames is None else [f"  {line}" for line in _describe_saved(case.saved_frames)]))
 
 
 def describe_failure(failure: Failure) -> list[str]:
     """Return a failure in lines: what was expected where, when it failed, for which agents, and the values."""
     where = f"{failure.span}: " if failure.span is not None else ""
-    lines = [f"{safe(where)}{safe(failure.message)}"]
+    lines = [f"{escape_text(where)}{escape_text(failure.message)}"]
     if failure.frame is not None:
         when = f"  first at frame {failure.frame}"
         when += f", {failure.time:.6g} s from the start" if failure.time is not None else ""
@@ -36,13 +36,13 @@ def describe_failure(failure: Failure) -> list[str]:
     if failure.began is not None:
         lines.append(f"  waiting since frame {failure.began}")
     if failure.others and (failure.values or failure.whereabouts):
-        lines.append(f"  of {_one(failure)}:")
+        lines.append(f"  of {_agent_name(failure)}:")
     value_names = {text for text, _ in failure.values}
     other_values = [pair for pair in failure.whereabouts if pair[0] not in value_names]
-    return lines + [f"    {safe(text)} is {safe(value)}" for text, value in (*failure.values, *other_values)]
+    return lines + [f"    {escape_text(text)} is {escape_text(value)}" for text, value in (*failure.values, *other_values)]
 
 
-def _one(failure: Failure) -> str:
+def _agent_name(failure: Failure) -> str:
     return "" if failure.agent is None else f"{failure.agent[0]} {failure.agent[1]}"
 
 
@@ -53,39 +53,39 @@ def _name_agents(failure: Failure) -> str:
     return f"{failure.agent[0]} {', '.join(map(str, named))}" + (f" and {remainder} more" if remainder > 0 else "")
 
 
-def _saved(saved: SavedFrames) -> list[str]:
+def _describe_saved(saved: SavedFrames) -> list[str]:
     if saved.folder is None:
-        return [safe(saved.note)]
-    lines = [f"saved: frames {saved.begins} to {saved.frame} in {safe(display_path(saved.folder))}"]
-    lines += [safe(saved.note)] if saved.note else []
-    return [*lines, f"  see it:         {safe(saved.look)}", f"  go on from it:  {safe(saved.again)}"]
+        return [escape_text(saved.note)]
+    lines = [f"saved: frames {saved.begins} to {saved.frame} in {escape_text(display_path(saved.folder))}"]
+    lines += [escape_text(saved.note)] if saved.note else []
+    return [*lines, f"  see it:         {escape_text(saved.look)}", f"  go on from it:  {escape_text(saved.again)}"]
 
 
-def settled(verdict: Verdict) -> str:
+def describe_verdict(verdict: Verdict) -> str:
     """`"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
     ends = {True: "enough for", False: "too few for", None: "not all were run, of"}[verdict.holds]
     share = f"{verdict.spec.share * 100:.6g} %"
-    return f'"{safe(verdict.spec.name)}": {verdict.passed} of {verdict.cases} seeds passed, {ends} {share}'
+    return f'"{escape_text(verdict.spec.name)}": {verdict.passed} of {verdict.cases} seeds passed, {ends} {share}'
 
 
-def golden(result: GoldenResult) -> str:
+def describe_golden(result: GoldenResult) -> str:
     """Return a golden run in words: what differs first, and for which agents."""
     words = {"same": "same", "differs": "differs", "written": "written"}.get(result.outcome, "waiting")
-    line = f"{words:<7} {safe(result.name)}, seed {result.seed}: "
+    line = f"{words:<7} {escape_text(result.name)}, seed {result.seed}: "
     if result.outcome != "differs":
         return line + (result.words or f"{result.frames} frames")
     lines = [f"{line}first at frame {result.frame}"]
     lines += [f"  {result.words}"] if result.words else []
     if result.detail_frame is not None and result.detail_frame != result.frame:
         lines.append(f"  seen at frame {result.detail_frame}, the next that is stored in detail:")
-    lines += [f"  {safe(str(each))}" for each in result.found[:_MOST_DIFFERENCES]]
+    lines += [f"  {escape_text(str(each))}" for each in result.found[:_MOST_DIFFERENCES]]
     remainder = len(result.found) - _MOST_DIFFERENCES
     lines += [f"  and {remainder} more attributes"] if remainder > 0 else []
-    lines += [f"  it was made with {safe(result.origin)}, which is not what runs here"] if result.origin else []
+    lines += [f"  it was made with {escape_text(result.origin)}, which is not what runs here"] if result.origin else []
     return "\n".join([*lines, "  if that is how it should be now, keep it: the same command with --update"])
 
 
-def counted(cases: Sequence[Case], mistakes: int, goldens: Sequence[GoldenResult] = ()) -> str:
+def describe_counts(cases: Sequence[Case], mistakes: int, goldens: Sequence[GoldenResult] = ()) -> str:
     """`5 passed, 1 failed, 2 mistakes in files`."""
     numbers = {word: sum(case.outcome == word for case in cases) for word in ("passed", "failed", "allowed", "waiting")}
     phrases = [f"{numbers['passed']} passed"]
@@ -98,36 +98,36 @@ def counted(cases: Sequence[Case], mistakes: int, goldens: Sequence[GoldenResult
     return ", ".join(phrases)
 
 
-def covered(coverage: Coverage) -> str:
+def describe_coverage(coverage: Coverage) -> str:
     """Return every state and change with its count, in the order of the text: agents in a state per frame, agents that
     changed."""
     both = [(each, "state") for each in coverage.states.values()] + [(each, "change") for each in coverage.changes.values()]
     both.sort(key=lambda pair: (pair[0].span.source.path, pair[0].span.start, pair[1] == "change"))
     wide = max((len(f"{each.count:,}") for each, _ in both), default=0)
-    lines = [f"{each.count:>{wide},}  {'  ' if what == 'change' else ''}{_short(each.name)}" for each, what in both]
+    lines = [f"{each.count:>{wide},}  {'  ' if what == 'change' else ''}{_short_name(each.name)}" for each, what in both]
     return "\n".join(lines)
 
 
-def uncovered(coverage: Coverage) -> str:
+def describe_uncovered(coverage: Coverage) -> str:
     """Return how many states were entered and changes made, and which never were."""
     lines = []
     for what, verb, table in (("states", "entered", coverage.states), ("changes", "made", coverage.changes)):
         if table:
             covered_count = sum(each.count > 0 for each in table.values())
             lines.append(f"{what} {verb}: {covered_count} of {len(table)}")
-    never = _never(coverage)
-    lines += [f"  {each.span}: `{_short(each.name)}` was never {verb}" for each, verb in never[:_MOST_UNCOVERED]]
+    never = _find_uncovered(coverage)
+    lines += [f"  {each.span}: `{_short_name(each.name)}` was never {verb}" for each, verb in never[:_MOST_UNCOVERED]]
     if len(never) > _MOST_UNCOVERED:
         lines.append(f"  and {len(never) - _MOST_UNCOVERED} more")
     return "\n".join(lines)
 
 
-def _short(name: str) -> str:
+def _short_name(name: str) -> str:
     """Return a name without internal parts: the machine `main`, and the number of a change if it is the first."""
     return name.replace(".main.", ".").removesuffix("#1").replace("->", " -> ")
 
 
-def _never(coverage: Coverage) -> list[tuple[Counted, str]]:
+def _find_uncovered(coverage: Coverage) -> list[tuple[CoverageEntry, str]]:
     entries = [(each, "entered") for each in coverage.states.values() if not each.count]
     entries += [(each, "made") for each in coverage.changes.values() if not each.count]
     return sorted(entries, key=lambda pair: (pair[0].span.source.path, pair[0].span.start))

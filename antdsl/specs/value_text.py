@@ -16,21 +16,21 @@ _DECIMALS = 6  # after the point of a coordinate
 
 
 def format_value(world: World, value: Any, type: Type, unit: str, is_exact: bool = False) -> str:
-    """Format a value: `41.3 mm/s`, `12 %`, `carry`, `yes`, `apple`. `is_exact`: a number with all digits instead of six."""
+    """Format a value: `41.3 mm/s`, `12 %`, `move_world`, `yes`, `apple`. `is_exact`: a number with all digits instead of six."""
     match type.kind:
         case Kind.BOOL:
             return "yes" if value else "no"
         case Kind.STATE:
-            return _state(world, int(value), type.of or "")
+            return _state_name(world, int(value), type.of or "")
         case Kind.ITEM:
             names = world.items[type.of].names if type.of in world.items else ()
             return names[int(value)] if 0 <= int(value) < len(names) else "none"
         case Kind.AGENT:
             return f"{type.of} {int(value)}" if int(value) >= 0 else "none"
-    return _number(world, value, unit, is_exact)
+    return _format_number(world, value, unit, is_exact)
 
 
-def whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
+def agent_whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
     """Return an agent's states, since when, and its position in the scene's units."""
     population = world.populations[species]
     entries = []
@@ -44,23 +44,23 @@ def whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], 
 def place_text(position: Iterable[float], origin: Iterable[float], unit_mm: float) -> str:
     """Format a position, in mm and relative to an origin, as coordinates in a unit. There are four significant digits of the
     relative value, and at least one after the point."""
-    return ", ".join(_coordinate(float(x) / unit_mm, float(o) / unit_mm) for x, o in zip(position, origin, strict=True))
+    return ", ".join(_format_coordinate(float(x) / unit_mm, float(o) / unit_mm) for x, o in zip(position, origin, strict=True))
 
 
-def _coordinate(relative: float, origin: float) -> str:
+def _format_coordinate(relative: float, origin: float) -> str:
     decimals = 3 - math.floor(math.log10(abs(relative))) if relative and math.isfinite(relative) else 1
     text = f"{origin + relative:.{min(max(decimals, 1), _DECIMALS)}f}".rstrip("0").rstrip(".")
     return "0" if text == "-0" else text
 
 
-def _state(world: World, index: int, machine: str) -> str:
+def _state_name(world: World, index: int, machine: str) -> str:
     species, _, name = machine.partition(".")
     plan = world.plan.species.get(species)
     states = next((m.states for m in plan.machines if m.name == name), ()) if plan is not None else ()
     return states[index] if 0 <= index < len(states) else str(index)
 
 
-def _number(world: World, value: Any, unit: str, is_exact: bool) -> str:
+def _format_number(world: World, value: Any, unit: str, is_exact: bool) -> str:
     if np.isnan(value):
         return "no number"
     if np.isinf(value):

@@ -2,9 +2,9 @@
 stored."""
 
 from antdsl.sweep.finished_runs import RunStore
-from antdsl.sweep.jobs import Job, Variation, jobs, variations
+from antdsl.sweep.jobs import Job, Variation, jobs, make_variations
 from antdsl.sweep.running import Outcome, run_all
-from antdsl.sweep.stopping import Chooser
+from antdsl.sweep.stopping import JobChooser
 from antdsl.sweep.table import Row, rows
 
-__all__ = ["Chooser", "Job", "Outcome", "Row", "RunStore", "Variation", "jobs", "rows", "run_all", "variations"]
+__all__ = ["Job", "JobChooser", "Outcome", "Row", "RunStore", "Variation", "jobs", "make_variations", "rows", "run_all"]

@@ -40,7 +40,7 @@ class Design:
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class ChosenPoints:
     """The points of a design in order, possibly with duplicates, and the shares from which they were computed."""
 
     design: Design
@@ -98,22 +98,22 @@ DESIGNS = (
 _BY_WORD = {design.word: design for design in DESIGNS}
 
 
-def choose(word: str, factors: Sequence[Factor], points: int | None, seed: int) -> tuple[Chosen | None, Report]:
+def choose_design(word: str, factors: Sequence[Factor], points: int | None, seed: int) -> tuple[ChosenPoints | None, Report]:
     """Return the points of the named design. Conflicts are in the report, with what to write instead."""
     report, design = Report(), _BY_WORD[word]
-    _fits(design, factors, points, report)
+    _check_fit(design, factors, points, report)
     if not report.ok:
         return None, report
     if design.shares is None or points is None:
         levels = [factor.levels for factor in factors]
         combined = tuple(dict(zip((f.name for f in factors), values, strict=True)) for values in itertools.product(*levels))
-        return Chosen(design, tuple(factors), combined), report
+        return ChosenPoints(design, tuple(factors), combined), report
     shares = design.shares(len(factors), points, seed)
     named = tuple({factor.name: factor.at(float(share)) for factor, share in zip(factors, row, strict=True)} for row in shares)
-    return Chosen(design, tuple(factors), named, shares), report
+    return ChosenPoints(design, tuple(factors), named, shares), report
 
 
-def _fits(design: Design, factors: Sequence[Factor], points: int | None, report: Report) -> None:
+def _check_fit(design: Design, factors: Sequence[Factor], points: int | None, report: Report) -> None:
     ranges = [factor for factor in factors if not factor.levels]
     said = f"`--design {design.word}`"
     if design.shares is None:
@@ -152,5 +152,5 @@ def _fits(design: Design, factors: Sequence[Factor], points: int | None, report:
     if most > limits.SWEEP_POINTS:
         words = f"{said} with `--points {points}` has {most:,} points, and more than {limits.SWEEP_POINTS:,} are not run"
         report.error("too-large", words, None, "write a smaller `--points`")
-    if design.analysis is not None and not sensitivity.available():
+    if design.analysis is not None and not sensitivity.is_available():
         report.error("missing-extra", f"{said} needs SALib", None, sensitivity.HOW)

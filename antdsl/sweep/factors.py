@@ -10,7 +10,7 @@ from math import floor
 import numpy as np
 
 from antdsl.diagnostics import Report
-from antdsl.scene.quantities import BadQuantity, parse_number
+from antdsl.scene.quantities import QuantityError, parse_number
 
 _END = re.compile(r"\s*([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(.*?)\s*", re.ASCII)
 _DIGITS = 6  # that a value drawn from a range is written with
@@ -27,7 +27,7 @@ class Factor:
     unit: str = ""
 
     @property
-    def word(self) -> str:
+    def short_name(self) -> str:
         """Return the name without its species or field."""
         return self.name.rpartition(".")[2]
 
@@ -35,30 +35,30 @@ class Factor:
         """Return the value at a share, 0 to 1, between the first and the last, as text. Levels have equal shares."""
         if self.levels:
             return self.levels[min(floor(share * len(self.levels)), len(self.levels) - 1)]
-        return self._text(self.low + share * (self.high - self.low))
+        return self._format_value(self.low + share * (self.high - self.low))
 
     def ends(self) -> tuple[str, ...]:
         """Return the values to check to know whether all are allowed: each level, or the two ends."""
-        return self.levels or (self._text(self.low), self._text(self.high))
+        return self.levels or (self._format_value(self.low), self._format_value(self.high))
 
     def number(self, text: str) -> float:
         """A value of a range as a number in `unit`."""
         return float(text[: len(text) - len(self.unit)])
 
-    def _text(self, value: float) -> str:
+    def _format_value(self, value: float) -> str:
         return np.format_float_positional(float(f"{value:.{_DIGITS}g}"), trim="-") + self.unit
 
 
-def factors(varied: Mapping[str, str]) -> tuple[list[Factor], Report]:
+def parse_factors(varied: Mapping[str, str]) -> tuple[list[Factor], Report]:
     """Return factors from `NAME` to `A,B,C` or `A..B`, as in the source; unreadable ones are in the report."""
     report = Report()
     parsed_factors = [
-        _range(name, text, report) if ".." in text else _levels(name, text, report) for name, text in varied.items()
+        _parse_range(name, text, report) if ".." in text else _parse_levels(name, text, report) for name, text in varied.items()
     ]
     return [factor for factor in parsed_factors if factor is not None], report
 
 
-def _levels(name: str, text: str, report: Report) -> Factor | None:
+def _parse_levels(name: str, text: str, report: Report) -> Factor | None:
     parts = tuple(part.strip() for part in text.split(","))
     if all(parts) and len(set(parts)) == len(parts):
         return Factor(name, parts)
@@ -69,7 +69,7 @@ def _levels(name: str, text: str, report: Report) -> Factor | None:
     return None
 
 
-def _range(name: str, text: str, report: Report) -> Factor | None:
+def _parse_range(name: str, text: str, report: Report) -> Factor | None:
     said = f"`--vary {name}={text}`"
     first, last = (_END.fullmatch(end) for end in (text.split("..") if text.count("..") == 1 else ("", "")))
     if first is None or last is None or "," in text:
@@ -83,7 +83,7 @@ def _range(name: str, text: str, report: Report) -> Factor | None:
         return None
     try:
         low, high = parse_number(first[1]), parse_number(last[1])
-    except BadQuantity as why:
+    except QuantityError as why:
         report.error("wrong-value", f"an end of {said} {why}", None, why.help or f"write `--vary {name}=30mm..90mm`")
         return None
     if low >= high:
@@ -93,7 +93,7 @@ def _range(name: str, text: str, report: Report) -> Factor | None:
     return Factor(name, (), low, high, unit)
 
 
-def ends(of: Iterable[Factor]) -> list[dict[str, str]]:
+def end_points(of: Iterable[Factor]) -> list[dict[str, str]]:
     """Return the fewest points that cover every end of every factor."""
     chosen = list(of)
     most = max((len(factor.ends()) for factor in chosen), default=0)

@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 NAME = "matplotlib"
 
 
-def available() -> bool:
+def is_available() -> bool:
     """Return whether figures can be drawn here; nothing is imported."""
     return find_spec(NAME) is not None
 
 
 @contextmanager
-def figure(width: float, height: float, path: Path) -> Iterator[Figure]:
+def open_figure(width: float, height: float, path: Path) -> Iterator[Figure]:
     """Yield a figure of a size in inches; at the end it is written to `path` as a PNG file. Raises OSError if that fails."""
-    matplotlib = _matplotlib()
+    matplotlib = _import_matplotlib()
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -45,7 +45,7 @@ def figure(width: float, height: float, path: Path) -> Iterator[Figure]:
 
 
 @cache
-def _matplotlib() -> Any:
+def _import_matplotlib() -> Any:
     """Return matplotlib, with everything loaded that reads settings or the font list at import. The list is stored in a folder
     that only this user may write to."""
     import importlib
@@ -62,7 +62,7 @@ def _matplotlib() -> Any:
         defaults = str(Path(spec.origin).parent / "mpl-data" / "matplotlibrc")
         own = {"MATPLOTLIBRC": defaults, "MPLCONFIGDIR": str(folder), "MPLBACKEND": "agg"}
         # Without a search path it does not find `fc-list`, which names more fonts than it needs.
-        opened.enter_context(_environment({**own, "PATH": str(folder)}))
+        opened.enter_context(_set_environment({**own, "PATH": str(folder)}))
         with suppress(FileNotFoundError):  # the working directory was deleted: nothing is found in it
             opened.enter_context(chdir(folder))
         for module in ("font_manager", "style", "figure", "backends.backend_agg"):
@@ -71,7 +71,7 @@ def _matplotlib() -> Any:
 
 
 @contextmanager
-def _environment(values: Mapping[str, str]) -> Iterator[None]:
+def _set_environment(values: Mapping[str, str]) -> Iterator[None]:
     """Set environment variables of this process within the context."""
     previous_values = {name: os.environ.get(name) for name in values}
     os.environ.update(values)

@@ -16,7 +16,7 @@ from antdsl.whole import is_link, make_folder, write_atomically
 _BYTES = limits.ANSWER_BYTES + 64 * limits.KIB  # of the stored data of one run
 
 
-class OtherFiles(Exception):
+class NoSweepFolder(Exception):
     """The folder holds something else than a sweep."""
 
 
@@ -25,9 +25,9 @@ class RunStore:
 
     def __init__(self, folder: Path) -> None:
         if folder.is_dir() and any(folder.iterdir()) and not (folder / "runs").is_dir():
-            raise OtherFiles(f"`{folder}` has other files")
+            raise NoSweepFolder(f"`{folder}` has other files")
         if is_link(folder / "runs"):
-            raise OtherFiles(f"`{folder / 'runs'}` is a link")
+            raise NoSweepFolder(f"`{folder / 'runs'}` is a link")
         self.folder = folder
         self.runs = folder / "runs"
         make_folder(self.runs)
@@ -43,23 +43,23 @@ class RunStore:
         except (OSError, ValueError, RecursionError):
             return None
         fits = isinstance(document, dict) and document.get("key") == job.key and isinstance(document.get("measures"), dict)
-        if not fits or document.pop("hash", None) not in (None, _hash(document)):
+        if not fits or document.pop("hash", None) not in (None, _document_hash(document)):
             return None
         measures: dict[str, Any] = document["measures"]
         return measures
 
-    def others(self, jobs: Iterable[Job]) -> int:
+    def count_other_runs(self, jobs: Iterable[Job]) -> int:
         """Return how many finished runs belong to none of these jobs."""
         return len({path.stem for path in self.runs.glob("*.json")} - {job.key for job in jobs})
 
-    def keep(self, job: Job, measures: Mapping[str, Any]) -> None:
+    def write_measures(self, job: Job, measures: Mapping[str, Any]) -> None:
         """Write a run's measures atomically."""
         document = describe_job(job) | {"key": job.key, "antdsl": __version__, "measures": measures}
-        document["hash"] = _hash(document)
+        document["hash"] = _document_hash(document)
         write_atomically(self.path(job), (json.dumps(document, indent=1) + "\n").encode(), sync=False)
 
 
-def _hash(document: Mapping[str, Any]) -> str:
+def _document_hash(document: Mapping[str, Any]) -> str:
     content = {name: value for name, value in document.items() if name != "hash"}
     return sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:32]
 

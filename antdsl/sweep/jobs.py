@@ -11,13 +11,13 @@ from typing import Any
 
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
-from antdsl.loading import CheckedOnce
+from antdsl.loading import SharedParsedFiles
 from antdsl.outputs.cache.manifest import MANIFEST
 from antdsl.outputs.provenance import sources
 from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.scene import Scene
-from antdsl.scene.paths import note
+from antdsl.scene.paths import record_request
 from antdsl.scene.values import FrameRange
 
 
@@ -65,7 +65,7 @@ class Job:
         return Choices(grants, FrameRange(*self.frames), self.seed, dict(self.params))
 
 
-def variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[Variation]:
+def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[Variation]:
     """Every scene with the values of every point."""
     scenes, points = list(scenes), list(points)
     stems = [scene.stem for scene in scenes]
@@ -91,15 +91,15 @@ def jobs(
     in the report, once."""
     report = Report()
     shots: list[tuple[Variation, FrameRange, Scene, Mapping[str, str]]] = []
-    parsed = CheckedOnce()
+    parsed = SharedParsedFiles()
     for variation in chosen:
         choices = Choices(grants, frames, None, variation.params)
         shot, findings = open_scene(variation.scene, choices, parsed=parsed, thorough=False)
         report.extend(findings)
         if shot is not None and findings.ok:
-            _known(shot, until, report)
+            _check_amounts(shot, until, report)
             try:
-                shots.append((variation, shot.frames, shot.scene, {**shot.inputs, **beginning(shot)}))
+                shots.append((variation, shot.frames, shot.scene, {**shot.inputs, **start_hashes(shot)}))
             except StartError as why:
                 report.extend(why.report)
     granted = tuple((name, str(folder)) for name, folder in grants.items())
@@ -113,16 +113,16 @@ def jobs(
     return job_list, report
 
 
-def beginning(shot: Shot) -> Mapping[str, str]:
+def start_hashes(shot: Shot) -> Mapping[str, str]:
     """Return a hash of the start state that a scene takes from another cache, and note that its files are read
-    (`scene.paths.sought`)."""
+    (`scene.paths.record_sought`)."""
     folder = source_of(shot)
     if folder is not None:
-        note(folder / MANIFEST, shot.scene.roots.folder)
+        record_request(folder / MANIFEST, shot.scene.roots.folder)
     return start_hash(shot)
 
 
-def key_of(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, str]) -> str:
+def job_key(shot: Shot, seed: int, until: tuple[str, ...], start: Mapping[str, str]) -> str:
     """Return a hash of all that the measures of a run depend on. `start`: the hash of the cache it begins with (`start_hash`)."""
     return _key(shot.scene, {**shot.inputs, **start}, shot.frames, seed, until)
 
@@ -133,11 +133,11 @@ def _key(scene: Scene, inputs: Mapping[str, str], frames: FrameRange, seed: int,
     return hashlib.blake2b(json.dumps(key_fields, sort_keys=True).encode(), digest_size=12).hexdigest()
 
 
-def _known(shot: Shot, until: tuple[str, ...], report: Report) -> None:
+def _check_amounts(shot: Shot, until: tuple[str, ...], report: Report) -> None:
     """Report amounts that the scene does not have."""
-    known = list(amounts(shot))
+    known = list(amount_names(shot))
     for requested_name in until:
-        if not any(matches(requested_name, name) for name in known):
+        if not any(is_match(requested_name, name) for name in known):
             display_names = ", ".join(f"`{name}`" for name in known[:6]) or "none: it has no items"
             report.error(
                 "unknown-thing",
@@ -147,7 +147,7 @@ def _known(shot: Shot, until: tuple[str, ...], report: Report) -> None:
             )
 
 
-def amounts(shot: Shot) -> Iterator[str]:
+def amount_names(shot: Shot) -> Iterator[str]:
     """Yield every amount of every item, as `food.apple.load`."""
     for name, items in shot.plan.items.items():
         for item in shot.setting.items.get(name, ()):
@@ -155,7 +155,7 @@ def amounts(shot: Shot) -> Iterator[str]:
                 yield f"{name}.{item.name}.{attribute}"
 
 
-def matches(requested_name: str, name: str) -> bool:
+def is_match(requested_name: str, name: str) -> bool:
     """Whether `food.load` or `food.apple.load` means the amount `food.apple.load`."""
     items, _, rest = name.partition(".")
     return requested_name in (name, f"{items}.{rest.partition('.')[2]}")

@@ -9,25 +9,25 @@ from pathlib import Path
 from typing import Any
 
 from antdsl import __version__
-from antdsl.numerics.host import processor
+from antdsl.numerics.host import processor_name
 from antdsl.outputs.provenance import sources
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.starting import start_from_cache
 from antdsl.outputs.summary import summary
 from antdsl.outputs.surface_error import surface_error
 from antdsl.pipeline import open_scene
-from antdsl.runtime import Built, Options, World, bind, state_hash, step
-from antdsl.sweep.jobs import Job, beginning, key_of, matches
+from antdsl.runtime import BindingCache, Options, World, bind, state_hash, step
+from antdsl.sweep.jobs import Job, is_match, job_key, start_hashes
 
 
-class Unfit(Exception):
+class UnusableScene(Exception):
     """The scene can no longer be opened; the message says why."""
 
 
 def measure(
     job: Job,
     threads: int,
-    built: Built,
+    built: BindingCache,
     report_frame: Callable[[int], None],
     noted: Callable[[str], None] = lambda sentence: None,
 ) -> dict[str, Any]:
@@ -37,9 +37,9 @@ def measure(
     Everything but `seconds`, `fps` and `processor` is equal for the same job and antdsl."""
     shot, report = open_scene(Path(job.scene), job.choices())
     if shot is None or not report.ok:
-        raise Unfit("; ".join(problem.message for problem in report.errors))
-    if key_of(shot, job.seed, job.until, beginning(shot)) != job.key:
-        raise Unfit(
+        raise UnusableScene("; ".join(problem.message for problem in report.errors))
+    if job_key(shot, job.seed, job.until, start_hashes(shot)) != job.key:
+        raise UnusableScene(
             "files that the scene reads have changed since the sweep began; the same command begins with them as they are"
         )
     began = time.perf_counter()
@@ -50,11 +50,11 @@ def measure(
         step(world)
     world.motion.reset()
     empty: dict[str, int | None] = {}
-    _look(world, empty)
+    _record_empty(world, empty)
     worst = surface_error(world)
-    while world.frame < shot.frames.last and not _over(world, job.until):
+    while world.frame < shot.frames.last and not _is_over(world, job.until):
         step(world)
-        _look(world, empty)
+        _record_empty(world, empty)
         worst = max(worst, surface_error(world))
         recording.steps += 1
         report_frame(world.frame)
@@ -62,43 +62,43 @@ def measure(
         noted(sentence)
     recording.frame, recording.surface_error = world.frame, worst
     recording.hash = state_hash(world)
-    recording.spend("step", began)
-    measures = dict(_flat("", summary(recording)))
+    recording.add_time("step", began)
+    measures = dict(_flatten("", summary(recording)))
     measures |= {f"empty.{name}": frame for name, frame in empty.items()}
-    measures |= {f"left.{name}": amount for name, amount in _amounts(world)}
-    measures |= {"processor": processor(), "antdsl": f"{__version__} {sources()[:8]}"}
+    measures |= {f"left.{name}": amount for name, amount in _read_amounts(world)}
+    measures |= {"processor": processor_name(), "antdsl": f"{__version__} {sources()[:8]}"}
     return measures | {"seconds": round(time.perf_counter() - began, 3)}
 
 
-def _amounts(world: World) -> Iterator[tuple[str, float]]:
+def _read_amounts(world: World) -> Iterator[tuple[str, float]]:
     for name, items in world.items.items():
         for attribute, values in items.amounts.items():
             for item, value in zip(items.names, values, strict=True):
                 yield f"{name}.{item}.{attribute}", float(value)
 
 
-def _look(world: World, empty: dict[str, int | None]) -> None:
+def _record_empty(world: World, empty: dict[str, int | None]) -> None:
     """Store the frame at which an amount becomes 0 for the first time."""
-    for name, amount in _amounts(world):
+    for name, amount in _read_amounts(world):
         if amount > 0:
             empty.setdefault(name, None)
         elif name in empty and empty[name] is None:
             empty[name] = world.frame
 
 
-def _over(world: World, until: tuple[str, ...]) -> bool:
+def _is_over(world: World, until: tuple[str, ...]) -> bool:
     return bool(until) and not any(
-        amount > 0 for name, amount in _amounts(world) for requested_name in until if matches(requested_name, name)
+        amount > 0 for name, amount in _read_amounts(world) for requested_name in until if is_match(requested_name, name)
     )
 
 
 _PROCESS_MEASURES = frozenset(("seconds", "peak_memory"))  # of the process, and of many runs in a row
 
 
-def _flat(head: str, value: Any) -> Iterator[tuple[str, Any]]:
+def _flatten(head: str, value: Any) -> Iterator[tuple[str, Any]]:
     if not isinstance(value, dict):
         yield head, value
         return
     for name, inner in value.items():
         if head or name not in _PROCESS_MEASURES:
-            yield from _flat(f"{head}.{name}" if head else name, inner)
+            yield from _flatten(f"{head}.{name}" if head else name, inner)

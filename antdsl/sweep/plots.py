@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from antdsl.sweep.factors import Factor
-from antdsl.sweep.figures import figure
+from antdsl.sweep.figures import open_figure
 from antdsl.sweep.sensitivity import Analysis, Effect
 from antdsl.sweep.study import Study
 from antdsl.sweep.table import Result, quantile
@@ -21,17 +21,17 @@ _PARTS = 6  # of a range, for each of which a median is drawn
 HOW = "plots need matplotlib: pip install 'antdsl[plots]'"
 
 
-def draw(results: Sequence[Result], measures: Sequence[str], path: Path) -> None:
+def draw_measures(results: Sequence[Result], measures: Sequence[str], path: Path) -> None:
     """Write one PNG with a panel per measure. What did not happen is above the dashed line."""
     labels = list(dict.fromkeys(job.label for job, _ in results))
     height = max(2.0, 0.45 * len(labels) + 1.0)
-    with figure(9.0, height * len(measures), path) as drawn:
+    with open_figure(9.0, height * len(measures), path) as drawn:
         panels = drawn.subplots(len(measures), 1, squeeze=False)[:, 0]
         for panel, measure in zip(panels, measures, strict=True):
-            _panel(panel, results, labels, measure)
+            _draw_panel(panel, results, labels, measure)
 
 
-def _panel(panel: Axes, results: Sequence[Result], labels: Sequence[str], measure: str) -> None:
+def _draw_panel(panel: Axes, results: Sequence[Result], labels: Sequence[str], measure: str) -> None:
     known = [float(v) for _, measures in results if (v := measures.get(measure)) is not None]
     edge = max(known, default=1.0)
     margin = 0.08 * (edge - min(known, default=0.0)) or 1.0
@@ -60,13 +60,13 @@ def draw_factors(study: Study, results: Sequence[Result], measures: Sequence[str
     columns = len(study.ranges) + bool(effects)
     names = [str(scene) for scene in study.scenes]
     scenes = {variation.label: str(variation.scene) for variation in study.variations}
-    with figure(1.0 + 3.6 * columns, 0.6 + 2.6 * len(measures), path) as drawn:
+    with open_figure(1.0 + 3.6 * columns, 0.6 + 2.6 * len(measures), path) as drawn:
         panels = drawn.subplots(len(measures), columns, squeeze=False)
         for row, measure in zip(panels, measures, strict=True):
             for panel, factor in zip(row, study.ranges, strict=False):
-                _over_range(panel, factor, results, names, scenes, measure)
+                _draw_over_range(panel, factor, results, names, scenes, measure)
             if effects and study.chosen.design.analysis is not None:
-                _bars(row[-1], study.chosen.design.analysis, [e for e in effects if e.measure == measure], names)
+                _draw_bars(row[-1], study.chosen.design.analysis, [e for e in effects if e.measure == measure], names)
             row[0].set_ylabel(_title(measure), fontsize=9)
         if len(names) > 1:
             marks = [panels[0, 0].plot([], [], "o", color=_colour(k), markersize=5)[0] for k in range(len(names))]
@@ -74,7 +74,7 @@ def draw_factors(study: Study, results: Sequence[Result], measures: Sequence[str
             drawn.legend(marks, stems, loc="outside lower center", ncols=4, fontsize=9, frameon=False)
 
 
-def _over_range(
+def _draw_over_range(
     panel: Any, factor: Factor, results: Sequence[Result], scenes: Sequence[str], of_labels: Mapping[str, str], measure: str
 ) -> None:
     known = [float(v) for _, measures in results if (v := measures.get(measure)) is not None]
@@ -93,7 +93,7 @@ def _over_range(
             panel.plot([value, value], [lower, upper], "-", color=_colour(number), alpha=0.35, linewidth=1)
             panel.plot([value], [middle], "o", color=_colour(number), alpha=0.6, markersize=4, markeredgewidth=0)
             medians.append((value, middle))
-        _trend(panel, factor, medians, _colour(number))
+        _draw_trend(panel, factor, medians, _colour(number))
     if any(measures.get(measure, 0) is None for _, measures in results):
         panel.axhline(edge + margin / 2, linestyle="--", color="#999999", linewidth=1)
         panel.text(factor.low, edge + margin, "never", ha="left", va="center", fontsize=8, color="#666666")
@@ -104,7 +104,7 @@ def _over_range(
     panel.spines[["top", "right"]].set_visible(False)
 
 
-def _trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float]], colour: str) -> None:
+def _draw_trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float]], colour: str) -> None:
     parts: dict[int, list[float]] = {}
     for value, median in medians:
         share = (value - factor.low) / (factor.high - factor.low)
@@ -116,7 +116,7 @@ def _trend(panel: Any, factor: Factor, medians: Sequence[tuple[float, float]], c
     panel.plot(middles, middle, "-", color=colour, linewidth=1.5)
 
 
-def _bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes: Sequence[str]) -> None:
+def _draw_bars(panel: Any, analysis: Analysis, effects: Sequence[Effect], scenes: Sequence[str]) -> None:
     factors = list(dict.fromkeys(effect.factor for effect in effects))
     high = 0.8 / max(len(scenes), 1)
     for number, scene in enumerate(scenes):

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from antdsl.executors import Executors, Refused, Task, Worker, run_tasks
+from antdsl.executors import Executors, Task, TaskRefused, Worker, run_tasks
 from antdsl.sweep.jobs import Job
 
 
@@ -33,28 +33,28 @@ def run_all(
     def heard(task: Task, frame: int) -> None:
         report_frame(Job.of(task.document), frame)
 
-    tasks = (Task(job.key, measured, job.document()) for job in jobs)
+    tasks = (Task(job.key, measure_task, job.document()) for job in jobs)
     for answered in run_tasks(tasks, executors, heard, noted):
         for sentence in answered.notes:
             noted(sentence)
         yield Outcome(Job.of(answered.task.document), answered.answer, answered.problem)
 
 
-def measured(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+def measure_task(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     """Run a job in a worker process and return its measures."""
     from antdsl.outputs.starting import StartError
-    from antdsl.runtime import BindError, Built, FaultStop
-    from antdsl.sweep.measuring import Unfit, measure
+    from antdsl.runtime import BindError, BindingCache, FaultStop
+    from antdsl.sweep.measuring import UnusableScene, measure
 
-    built: Built = worker.cached_values.setdefault("built", Built())
+    built: BindingCache = worker.cached_values.setdefault("built", BindingCache())
     job = Job.of(document)
     grants = tuple((name, str(worker.local_path(folder))) for name, folder in job.grants)
     job = replace(job, scene=str(worker.local_path(job.scene)), grants=grants)
     try:
         return measure(job, worker.threads, built, worker.report_frame, worker.notes.append)
     except (BindError, StartError) as why:
-        raise Refused("; ".join(problem.message for problem in why.report.errors)) from None
-    except (Unfit, FaultStop) as why:
-        raise Refused(str(why)) from None
+        raise TaskRefused("; ".join(problem.message for problem in why.report.errors)) from None
+    except (UnusableScene, FaultStop) as why:
+        raise TaskRefused(str(why)) from None
     finally:
-        built.forget()
+        built.drop_unused()

@@ -45,7 +45,7 @@ class Effect:
     columns: Mapping[str, float]
 
 
-def available() -> bool:
+def is_available() -> bool:
     """Whether SALib is here; nothing is imported."""
     return find_spec("SALib") is not None
 
@@ -55,7 +55,7 @@ def saltelli_sample(factors: int, count: int, seed: int) -> Numbers:
     sensitivity analysis of model output, Comp. Phys. Comm. 181 (2010), on a scrambled Sobol sequence."""
     from SALib.sample import sobol
 
-    return np.asarray(sobol.sample(_problem(factors), count, calc_second_order=False, seed=seed))
+    return np.asarray(sobol.sample(_salib_problem(factors), count, calc_second_order=False, seed=seed))
 
 
 def morris_sample(factors: int, count: int, seed: int) -> Numbers:
@@ -63,13 +63,15 @@ def morris_sample(factors: int, count: int, seed: int) -> Numbers:
     Factorial sampling plans for preliminary computational experiments, Technometrics 33 (1991)."""
     from SALib.sample import morris
 
-    return np.asarray(morris.sample(_problem(factors), count, num_levels=_LEVELS, seed=seed))
+    return np.asarray(morris.sample(_salib_problem(factors), count, num_levels=_LEVELS, seed=seed))
 
 
 def _sobol_indices(shares: Numbers, values: Numbers) -> EffectColumns:
     from SALib.analyze import sobol
 
-    indices = sobol.analyze(_problem(shares.shape[1]), values, calc_second_order=False, num_resamples=_RESAMPLES, seed=_SEED)
+    indices = sobol.analyze(
+        _salib_problem(shares.shape[1]), values, calc_second_order=False, num_resamples=_RESAMPLES, seed=_SEED
+    )
     return {
         "total": indices["ST"],
         "total_95": indices["ST_conf"],
@@ -83,7 +85,7 @@ def _elementary_effects(shares: Numbers, values: Numbers) -> EffectColumns:
     Environmental Modelling & Software 22 (2007)."""
     from SALib.analyze import morris
 
-    problem = _problem(shares.shape[1])
+    problem = _salib_problem(shares.shape[1])
     results = morris.analyze(problem, shares, values, num_levels=_LEVELS, num_resamples=_RESAMPLES, seed=_SEED)
     named = {"mu_star": "mu_star", "mu_star_95": "mu_star_conf", "mu": "mu", "sigma": "sigma"}
     return {column: np.asarray(results[theirs], np.float64) for column, theirs in named.items()}
@@ -95,11 +97,11 @@ ELEMENTARY_EFFECTS = Analysis(
 )
 
 
-def _problem(factors: int) -> dict[str, Any]:
+def _salib_problem(factors: int) -> dict[str, Any]:
     return {"num_vars": factors, "names": [str(k) for k in range(factors)], "bounds": [[0.0, 1.0]] * factors}
 
 
-def effects(
+def find_effects(
     analysis: Analysis,
     names: Sequence[str],
     shares: Numbers,

@@ -24,7 +24,7 @@ LEVEL = Fraction(95, 100)
 _GROWTH = Fraction(3, 2)  # of the number of runs, from one look to the next
 
 
-def rank(count: int, doubt: Fraction = 1 - LEVEL) -> int:
+def interval_rank(count: int, doubt: Fraction = 1 - LEVEL) -> int:
     """Return the greatest l for which the interval from the l-th to the l-th last misses the median with a probability of at most
     `doubt`; 0 if `count` draws are too few."""
     least, below = 0, 0
@@ -34,9 +34,9 @@ def rank(count: int, doubt: Fraction = 1 - LEVEL) -> int:
     return min(least, (count + 1) // 2)
 
 
-def interval(values: Sequence[float], doubt: Fraction = 1 - LEVEL) -> tuple[float, float] | None:
+def find_interval(values: Sequence[float], doubt: Fraction = 1 - LEVEL) -> tuple[float, float] | None:
     """Return the two results between which the median lies; None for too few. An infinite result means that it never happened."""
-    place = rank(len(values), doubt)
+    place = interval_rank(len(values), doubt)
     if not place:
         return None
     sorted_values = sorted(values)
@@ -52,11 +52,11 @@ class Looks:
     doubt: Fraction
 
 
-def looks(most: int) -> Looks | None:
+def plan_looks(most: int) -> Looks | None:
     """Return checks after half as many runs more each time, up to `most`; None if so few runs are never enough."""
     for count in range(1, most + 1):
         doubt = (1 - LEVEL) / count
-        least = next((n for n in range(1, most + 1) if rank(n, doubt)), None)
+        least = next((n for n in range(1, most + 1) if interval_rank(n, doubt)), None)
         if least is None:
             return None
         run_counts = [least]
@@ -69,11 +69,11 @@ def looks(most: int) -> Looks | None:
 
 def least_runs() -> int:
     """Return the fewest runs from which a sweep can estimate a median."""
-    return next(n for n in range(1, 100) if looks(n) is not None)
+    return next(n for n in range(1, 100) if plan_looks(n) is not None)
 
 
 @dataclass(frozen=True, slots=True)
-class Width:
+class WidthGoal:
     """How narrow the interval of a median has to be: at most `most`, or `share` of the median's size. `measure`: the beginning of
     a name."""
 
@@ -89,7 +89,7 @@ class Width:
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class KnownMedian:
     """Knowledge about one measure of one variation: its median lies between `low` and `high`, after a number of runs."""
 
     label: str
@@ -102,11 +102,11 @@ class Known:
 
 
 @dataclass(slots=True)
-class Chooser:
+class JobChooser:
     """All jobs that may run, seed by seed; `wanted` yields those that are needed. Without widths, all are."""
 
     jobs: Sequence[Job]
-    widths: Sequence[Width] = ()
+    widths: Sequence[WidthGoal] = ()
     _looks: Looks | None = field(init=False, default=None)
     _by_label: dict[str, list[Job]] = field(init=False, default_factory=dict)
     _measures: dict[str, Mapping[str, Any] | None] = field(init=False, default_factory=dict)
@@ -116,7 +116,7 @@ class Chooser:
         for job in self.jobs:
             self._by_label.setdefault(job.label, []).append(job)
         if self.widths and self._by_label:
-            self._looks = looks(max(map(len, self._by_label.values())))
+            self._looks = plan_looks(max(map(len, self._by_label.values())))
 
     def needed_jobs(self) -> Iterator[Job]:
         """Yield the next needed job, as long as there is one; to be called when a process is free."""
@@ -124,7 +124,7 @@ class Chooser:
             if job.key not in self._measures and job.label not in self._final_counts:
                 yield job
 
-    def heard(self, job: Job, measures: Mapping[str, Any] | None) -> None:
+    def record_result(self, job: Job, measures: Mapping[str, Any] | None) -> None:
         """Record that a run has ended, with or without measures."""
         self._measures[job.key] = measures
         if self._looks is None or job.label in self._final_counts:
@@ -133,51 +133,53 @@ class Chooser:
         for count in self._looks.run_counts:
             if any(each.key not in self._measures for each in of[:count]):
                 return
-            if all(known.met for known in self._known(job.label, count)):
+            if all(known.met for known in self._known_after(job.label, count)):
                 self._final_counts[job.label] = count
                 return
 
     @property
-    def counted(self) -> list[Job]:
+    def counted_jobs(self) -> list[Job]:
         """Return the jobs of the table: all that have ended; of a complete variation, those that completed it."""
         within = {job.key for label, of in self._by_label.items() for job in of[: self._final_counts.get(label, len(of))]}
         return [job for job in self.jobs if job.key in within and self._measures.get(job.key) is not None]
 
-    def known(self) -> list[Known]:
+    def known_medians(self) -> list[KnownMedian]:
         """Return what is known at the end about measures with a requested width."""
         if self._looks is None:
             return []
         return [
-            known for label, of in self._by_label.items() for known in self._known(label, self._final_counts.get(label, len(of)))
+            known
+            for label, of in self._by_label.items()
+            for known in self._known_after(label, self._final_counts.get(label, len(of)))
         ]
 
-    def unheard(self) -> list[str]:
+    def missing_measures(self) -> list[str]:
         """Return the widths' measures that no run has reported, once one has ended."""
         names = self._names() if self.widths else ()
         return [w.measure for w in self.widths if names and not any(name.startswith(w.measure) for name in names)]
 
-    def heard_of(self) -> list[str]:
+    def measure_prefixes(self) -> list[str]:
         """Return the first words of the measures that runs have reported."""
         return list(dict.fromkeys(name.split(".")[0] for name in self._names()))
 
     def _names(self) -> dict[str, None]:
         return {name: None for measures in self._measures.values() if measures is not None for name in measures}
 
-    def _known(self, label: str, count: int) -> list[Known]:
+    def _known_after(self, label: str, count: int) -> list[KnownMedian]:
         assert self._looks is not None
         ended = [each for job in self._by_label[label][:count] if (each := self._measures.get(job.key)) is not None]
-        entries: list[Known] = []
+        entries: list[KnownMedian] = []
         for width in self.widths:
             names = dict.fromkeys(name for measures in ended for name in measures if name.startswith(width.measure))
             if not names:
-                entries.append(Known(label, width.measure, len(ended), math.nan, math.nan, math.nan, False))
+                entries.append(KnownMedian(label, width.measure, len(ended), math.nan, math.nan, math.nan, False))
             for name in names:
                 numbers = [measures.get(name, 0.0) for measures in ended]
                 if not all(value is None or isinstance(value, int | float) for value in numbers):
                     continue
                 values = sorted(math.inf if value is None else float(value) for value in numbers)
-                median, between = quantile(values, 0.5), interval(values, self._looks.doubt)
+                median, between = quantile(values, 0.5), find_interval(values, self._looks.doubt)
                 low, high = between or (-math.inf, math.inf)
                 is_reached = between is not None and width.is_reached(between, median)
-                entries.append(Known(label, name, len(values), median, low, high, is_reached))
+                entries.append(KnownMedian(label, name, len(values), median, low, high, is_reached))
         return entries

@@ -13,10 +13,10 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_valida
 
 from antdsl import limits
 from antdsl.bounded import read_bounded
-from antdsl.sweep.designs import DESIGNS, Chosen
+from antdsl.sweep.designs import DESIGNS, ChosenPoints
 from antdsl.sweep.factors import Factor
 from antdsl.sweep.jobs import Variation
-from antdsl.sweep.sensitivity import Effect, effects
+from antdsl.sweep.sensitivity import Effect, find_effects
 from antdsl.sweep.table import Row
 from antdsl.whole import write_atomically
 
@@ -27,7 +27,7 @@ NAME = "asked.json"
 class Study:
     """A study. `variations`: every scene with every point once."""
 
-    chosen: Chosen
+    chosen: ChosenPoints
     scenes: tuple[Path, ...]
     variations: tuple[Variation, ...]
 
@@ -50,7 +50,7 @@ class Study:
         labels = {(v.scene, *v.params.values()): v.label for v in self.variations}
         scenes = {str(scene): [labels[(scene, *point.values())] for point in self.chosen.points] for scene in self.scenes}
         medians = {(row.label, row.measure): row.median for row in table}
-        return effects(design.analysis, [f.name for f in self.chosen.factors], shares, scenes, medians, measures)
+        return find_effects(design.analysis, [f.name for f in self.chosen.factors], shares, scenes, medians, measures)
 
 
 class NoSweep(Exception):
@@ -82,19 +82,19 @@ class SweepRequest(BaseModel):
 
     @field_validator("scenes", "root")
     @classmethod
-    def _paths(cls, words: list[str]) -> list[str]:
+    def _check_paths(cls, words: list[str]) -> list[str]:
         if any("\0" in word for word in words):
             raise ValueError("no path has a null character")
         return words
 
-    def keep(self, folder: Path) -> None:
+    def write(self, folder: Path) -> None:
         """Write it with paths relative to the folder, so that everything may be moved together."""
         portable_request = self.model_copy(
-            update={"scenes": [_relative_path(path, folder) for path in self.scenes], "root": self._roots(folder)}
+            update={"scenes": [_relative_path(path, folder) for path in self.scenes], "root": self._relative_roots(folder)}
         )
         write_atomically(folder / NAME, (portable_request.model_dump_json(indent=1) + "\n").encode())
 
-    def _roots(self, folder: Path) -> list[str]:
+    def _relative_roots(self, folder: Path) -> list[str]:
         return [f"{name}={_relative_path(path.strip(), folder)}" for name, _, path in (word.partition("=") for word in self.root)]
 
 
@@ -106,8 +106,8 @@ def read_request(folder: Path) -> SweepRequest:
         raise NoSweep(f"`{folder}` has no sweep to go on with") from None
     except ValidationError:
         raise NoSweep(f"`{folder / NAME}` is damaged") from None
-    roots = [f"{name}={_from(path, folder)}" for name, _, path in (word.partition("=") for word in request.root)]
-    changed: dict[str, Any] = {"scenes": [_from(path, folder) for path in request.scenes], "root": roots}
+    roots = [f"{name}={_resolve_path(path, folder)}" for name, _, path in (word.partition("=") for word in request.root)]
+    changed: dict[str, Any] = {"scenes": [_resolve_path(path, folder) for path in request.scenes], "root": roots}
     return request.model_copy(update=changed)
 
 
@@ -118,5 +118,5 @@ def _relative_path(path: str, folder: Path) -> str:
         return os.path.abspath(path)
 
 
-def _from(path: str, folder: Path) -> str:
+def _resolve_path(path: str, folder: Path) -> str:
     return os.path.relpath(folder / path) if not os.path.isabs(path) else path

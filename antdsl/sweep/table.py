@@ -15,7 +15,7 @@ from antdsl.sweep.jobs import Job
 
 if TYPE_CHECKING:
     from antdsl.sweep.sensitivity import Effect
-    from antdsl.sweep.stopping import Known
+    from antdsl.sweep.stopping import KnownMedian
 
 Result = tuple[Job, Mapping[str, Any]]
 _HEAD = ("label", "measure", "runs", "happened", "median", "lower_quartile", "upper_quartile", "least", "most")
@@ -55,10 +55,10 @@ def rows(results: Iterable[Result]) -> list[Row]:
         for name, value in measures.items():
             if name not in NOT_COMPARED and (value is None or isinstance(value, int | float)):
                 values_by_key.setdefault((job.label, name), []).append(math.inf if value is None else float(value))
-    return [_row(label, name, values, counts[label]) for (label, name), values in values_by_key.items()]
+    return [_make_row(label, name, values, counts[label]) for (label, name), values in values_by_key.items()]
 
 
-def _row(label: str, name: str, values: list[float], runs: int) -> Row:
+def _make_row(label: str, name: str, values: list[float], runs: int) -> Row:
     # a count that a run does not report, such as that of a transition that never occurred, is 0
     values = sorted(values + [0.0] * (runs - len(values)))
     median, lower, upper = (quantile(values, share) for share in (0.5, 0.25, 0.75))
@@ -82,7 +82,7 @@ def text(table: Sequence[Row], measures: Sequence[str]) -> str:
     lines = [["", "runs", *(name.removeprefix("empty.") + (" 0 at" if name.startswith("empty.") else "") for name in measures)]]
     for label in labels:
         runs = next(row.runs for row in table if row.label == label)
-        lines.append([label, str(runs), *(_cell(rows_by_key.get((label, name))) for name in measures)])
+        lines.append([label, str(runs), *(_cell_text(rows_by_key.get((label, name))) for name in measures)])
     widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
     return (
         "\n".join("  ".join(f"{cell:<{width}}" for cell, width in zip(line, widths, strict=True)).rstrip() for line in lines)
@@ -90,18 +90,18 @@ def text(table: Sequence[Row], measures: Sequence[str]) -> str:
     )
 
 
-def _cell(row: Row | None) -> str:
+def _cell_text(row: Row | None) -> str:
     if row is None:
         return "–"
-    words = f"{_number(row.median)} ({_number(row.lower)} – {_number(row.upper)})"
+    words = f"{_format_number(row.median)} ({_format_number(row.lower)} – {_format_number(row.upper)})"
     return words if row.happened == row.runs else f"{words}, {row.happened} of {row.runs}"
 
 
-def _number(value: float) -> str:
+def _format_number(value: float) -> str:
     return "never" if math.isinf(value) else f"{value:.6g}"
 
 
-def _plain(value: float) -> float | None:
+def _unless_infinite(value: float) -> float | None:
     return None if math.isinf(value) else value
 
 
@@ -109,7 +109,7 @@ def as_csv(table: Sequence[Row]) -> str:
     """Return one CSV line per variation and measure; what never happened is empty."""
     lines: list[list[object]] = [list(_HEAD)]
     for row in table:
-        numbers = [_plain(v) for v in (row.median, row.lower, row.upper, row.least, row.most)]
+        numbers = [_unless_infinite(v) for v in (row.median, row.lower, row.upper, row.least, row.most)]
         lines.append([row.label, row.measure, row.runs, row.happened, *("" if n is None else f"{n:.9g}" for n in numbers)])
     return csv_text(lines)
 
@@ -159,43 +159,51 @@ def _format_params(job: Job, units: Mapping[str, str]) -> dict[str, str]:
     return {name: value.removesuffix(units.get(name, "")) for name, value in job.params}
 
 
-def known_text(known: Sequence[Known]) -> str:
+def known_text(known: Sequence[KnownMedian]) -> str:
     """Return one line per median: the results it lies between, and whether they are as narrow as requested."""
     lines = ["Medians, with 95 % between"]
     label_width, width = (max(map(len, words)) for words in zip(*((k.label, k.measure) for k in known), strict=True))
     for each in known:
-        between = f"{_number(each.low)} and {_number(each.high)}" if each.runs and each.low > -math.inf else "too few runs"
+        between = (
+            f"{_format_number(each.low)} and {_format_number(each.high)}"
+            if each.runs and each.low > -math.inf
+            else "too few runs"
+        )
         late = "" if each.met else ", not as close as requested"
         lines.append(f"  {each.label:<{label_width}}  {each.measure:<{width}}  {between}, {each.runs} runs{late}")
     return "\n".join(lines) + "\n"
 
 
-def as_json(results: Sequence[Result], table: Sequence[Row], known: Sequence[Known] = (), effects: Sequence[Effect] = ()) -> str:
+def as_json(
+    results: Sequence[Result], table: Sequence[Row], known: Sequence[KnownMedian] = (), effects: Sequence[Effect] = ()
+) -> str:
     """Everything, one document."""
     document: dict[str, Any] = {
         "runs": [describe_job(job) | {"measures": dict(measures)} for job, measures in results],
-        "table": [_entry(row) for row in table],
+        "table": [_row_entry(row) for row in table],
     }
     if known:
-        document["medians"] = [asdict(k) | {name: _finite(getattr(k, name)) for name in ("median", "low", "high")} for k in known]
+        document["medians"] = [
+            asdict(k) | {name: _finite_or_none(getattr(k, name)) for name in ("median", "low", "high")} for k in known
+        ]
     if effects:
         document["sensitivity"] = [asdict(effect) for effect in effects]
     return json.dumps(document, indent=1) + "\n"
 
 
-def _finite(value: float) -> float | None:
+def _finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _entry(row: Row) -> dict[str, Any]:
+def _row_entry(row: Row) -> dict[str, Any]:
     return {
         "label": row.label,
         "measure": row.measure,
         "runs": row.runs,
         "happened": row.happened,
-        "median": _plain(row.median),
-        "lower_quartile": _plain(row.lower),
-        "upper_quartile": _plain(row.upper),
-        "least": _plain(row.least),
-        "most": _plain(row.most),
+        "median": _unless_infinite(row.median),
+        "lower_quartile": _unless_infinite(row.lower),
+        "upper_quartile": _unless_infinite(row.upper),
+        "least": _unless_infinite(row.least),
+        "most": _unless_infinite(row.most),
     }

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 from antdsl.diagnostics.model import Fix
 from antdsl.source import Source, Span
-from antdsl.syntax.brackets import text_of
+from antdsl.syntax.brackets import token_text
 from antdsl.syntax.scan import Scan, Token
 
 
@@ -38,7 +38,7 @@ class Line:
 
 
 @dataclass(frozen=True, slots=True)
-class Piece:
+class TextPiece:
     """A range of parsed text: where it begins there, where in the source, and its length in the source."""
 
     begin: int
@@ -46,7 +46,7 @@ class Piece:
     length: int
 
 
-class Lookup:
+class MappedText:
     """Text for the parser, with a mapping from its positions to the source."""
 
     def __init__(self, source: Source, parts: list[tuple[str, int, int]]) -> None:
@@ -59,14 +59,14 @@ class Lookup:
             self.begins.append(begin)
             begin += len(text)
 
-    def offset(self, position: int) -> int:
+    def source_offset(self, position: int) -> int:
         """The source offset of a position in the text; the text's end maps to the end of its last part."""
         part = max(0, bisect_right(self.begins, position) - 1)
         _, offset, length = self.parts[part]
         return offset + min(position - self.begins[part], length)
 
     def span(self, start: int, end: int) -> Span:
-        first = self.offset(start)
+        first = self.source_offset(start)
         if end <= start:
             return Span(self.source, first, first)
         part = max(0, bisect_right(self.begins, end - 1) - 1)
@@ -82,13 +82,13 @@ class Lookup:
                 return min(begin + offset - start, begin + len(text))
         return len(self.text)
 
-    def splice(self, start: int, end: int, text: str) -> Lookup:
+    def splice(self, start: int, end: int, text: str) -> MappedText:
         """Return a copy with `text` in place of the positions from `start` to `end`."""
         span = self.span(start, end)
-        previous_parts, next_parts = self._cut(0, start), self._cut(end, len(self.text))
-        return Lookup(self.source, [*previous_parts, (text, span.start, span.end - span.start), *next_parts])
+        previous_parts, next_parts = self._cut_pieces(0, start), self._cut_pieces(end, len(self.text))
+        return MappedText(self.source, [*previous_parts, (text, span.start, span.end - span.start), *next_parts])
 
-    def _cut(self, start: int, end: int) -> list[tuple[str, int, int]]:
+    def _cut_pieces(self, start: int, end: int) -> list[tuple[str, int, int]]:
         cut = []
         for (text, offset, length), begin in zip(self.parts, self.begins, strict=True):
             low, high = max(start, begin) - begin, min(end, begin + len(text)) - begin
@@ -97,7 +97,7 @@ class Lookup:
         return cut
 
 
-def lookup(scan: Scan, line: Line) -> Lookup:
+def map_text(scan: Scan, line: Line) -> MappedText:
     """The text of a line with nothing between its braces."""
     opens = {group.open.start for group in line.groups}
     parts: list[tuple[str, int, int]] = []
@@ -117,22 +117,22 @@ def lookup(scan: Scan, line: Line) -> Lookup:
             begin = None
     if begin is not None:
         parts.append(("".join(scan.clean[begin:end]), begin, end - begin))
-    return Lookup(scan.source, parts)
+    return MappedText(scan.source, parts)
 
 
-def _up(scan: Scan, above: int, brace: Token) -> Fix | None:
+def _move_brace_up(scan: Scan, above: int, brace: Token) -> Fix | None:
     """Return the fix that moves the brace to the end of the line above, or None if a comment is between them."""
     between = scan.source.text[above : brace.start]
     return None if between.strip() else Fix(Span(scan.source, above, brace.end), " {")
 
 
-def cut(scan: Scan, tokens: list[Token]) -> list[Line]:
+def cut_lines(scan: Scan, tokens: list[Token]) -> list[Line]:
     """The lines of the whole text. Braces must be paired."""
     top: list[Line] = [Line()]
     stack: list[tuple[list[Line], Token, bool]] = []  # what is around: its lines, the brace, whether `choose` came before
     lines = top
     for token in tokens:
-        sign = text_of(scan, token) if token.kind in ("open", "close") else ""
+        sign = token_text(scan, token) if token.kind in ("open", "close") else ""
         line = lines[-1]
         if sign == "{":
             if not line.tokens and len(lines) > 1 and not lines[-2].groups:
@@ -142,10 +142,10 @@ def cut(scan: Scan, tokens: list[Token]) -> list[Line]:
                     above = line.tokens[-1].end
                     scan.report.error(
                         "brace-on-own-line", "`{` on a separate line", Span(scan.source, token.start, token.end),
-                        "put it at the end of the line above", fix=_up(scan, above, token),
+                        "put it at the end of the line above", fix=_move_brace_up(scan, above, token),
                     )  # fmt: skip
-                    scan.blank(above, token.start)
-            chooses = bool(line.tokens) and text_of(scan, line.tokens[-1]) == "choose"
+                    scan.blank_out(above, token.start)
+            chooses = bool(line.tokens) and token_text(scan, line.tokens[-1]) == "choose"
             line.tokens.append(token)
             stack.append((lines, token, chooses))
             lines = [Line()]
@@ -159,7 +159,7 @@ def cut(scan: Scan, tokens: list[Token]) -> list[Line]:
                 lines.append(Line())
         else:
             if token.kind == "word" and line.groups and line.tokens[-1] is line.groups[-1].close:
-                word = text_of(scan, token)
+                word = token_text(scan, token)
                 scan.error(
                     "missing-line-end",
                     f"`{word}` on the same line after `}}`",

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from antdsl import limits
-from antdsl.syntax.mistakes.continued_lines import joined
+from antdsl.syntax.mistakes.continued_lines import join_lines
 from antdsl.syntax.scan import Scan, Token
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
 
@@ -17,7 +17,7 @@ _LINE_WORDS = frozenset(word for words in LINE_WORDS.values() for word in words)
 _JOINING = frozenset(("and", "or", "is", "in", "to", "then", "else"))  # words that go on with a value after a name
 
 
-def pair(scan: Scan) -> list[Token] | None:
+def pair_brackets(scan: Scan) -> list[Token] | None:
     """Return the tokens with paired brackets; None if they are nested too deeply."""
     depth = 0
     for token in scan.tokens:
@@ -26,11 +26,11 @@ def pair(scan: Scan) -> list[Token] | None:
             message = f"brackets nested more than {limits.NESTING} deep"
             scan.error("nesting-too-deep", message, token.start, token.end, "give inner parts a name with `let`")
             return None
-    scan.tokens = joined(scan)
+    scan.tokens = join_lines(scan)
     return _Braces(scan, _Parentheses(scan).run()).run()
 
 
-def text_of(scan: Scan, token: Token) -> str:
+def token_text(scan: Scan, token: Token) -> str:
     return token.virtual or "".join(scan.clean[token.start : token.end])
 
 
@@ -48,9 +48,9 @@ class _Parentheses:
         tokens, index = self.scan.tokens, 0
         while index <= len(tokens):
             token = tokens[index] if index < len(tokens) else None
-            text = text_of(self.scan, token) if token is not None else "}"
+            text = token_text(self.scan, token) if token is not None else "}"
             if self.open and (token is None or text in ("{", "}", ";") or self.begins_line(index, text)):
-                index = self.forgotten(index)
+                index = self.close_forgotten(index)
                 continue
             if token is None:
                 break
@@ -66,12 +66,12 @@ class _Parentheses:
         tokens = self.scan.tokens
         if tokens[index].indent < 0 or text not in _LINE_WORDS or index + 1 == len(tokens):
             return False
-        return tokens[index + 1].kind == "word" and text_of(self.scan, tokens[index + 1]) not in _JOINING
+        return tokens[index + 1].kind == "word" and token_text(self.scan, tokens[index + 1]) not in _JOINING
 
     def step(self, index: int, token: Token, text: str) -> None:
         tokens = self.scan.tokens
         if text in ("(", "[") and not self.open and self.opens_block(index):
-            first = text_of(self.scan, tokens[self.line_start(index)])
+            first = token_text(self.scan, tokens[self.line_start(index)])
             message = f"`{first}` with `{text}` in place of `{{`"
             self.scan.error("missing-brace", message, token.start, token.end, "write `{`", "{")
             self.scan.replace(token.start, "{")
@@ -83,9 +83,9 @@ class _Parentheses:
                 self.scan.error(
                     "unopened-bracket", f"`{text}` without a `{opening}`", token.start, token.end, "delete it, or open it", ""
                 )
-                self.scan.blank(token.start, token.end)
+                self.scan.blank_out(token.start, token.end)
                 return
-            if not self.matches(index, token, text):
+            if not self.close_bracket(index, token, text):
                 return
         elif token.kind == "end" and self.open:
             token = replace(token, kind="soft")
@@ -106,23 +106,23 @@ class _Parentheses:
         if any(self.scan.clean[token.start] == "{" for token in tokens[start:index]):
             return False
         first, below = tokens[start], tokens[index + 2]
-        word = text_of(self.scan, first)
+        word = token_text(self.scan, first)
         if word not in BLOCK_WORDS or below.indent <= first.indent:
             return False
         next_token = next((token for token in tokens[index + 3 :] if token.kind != "end"), None)
-        if word == "behaviour" and next_token is not None and text_of(self.scan, next_token) == ":":
+        if word == "behaviour" and next_token is not None and token_text(self.scan, next_token) == ":":
             return False  # the name of an argument, whatever word it is
-        return text_of(self.scan, below) in _LINE_WORDS
+        return token_text(self.scan, below) in _LINE_WORDS
 
-    def matches(self, index: int, token: Token, text: str) -> bool:
+    def close_bracket(self, index: int, token: Token, text: str) -> bool:
         """Pair a closing bracket with an open one of its kind. Brackets opened after that one are never closed."""
-        expected_signs = [_CLOSING[text_of(self.scan, self.out[place])] for place in self.open]
+        expected_signs = [_CLOSING[token_text(self.scan, self.out[place])] for place in self.open]
         if text not in expected_signs:
-            if self.closed_later(index, expected_signs[-1]):
+            if self.is_closed_later(index, expected_signs[-1]):
                 self.scan.error(
                     "unopened-bracket", f"`{text}` is never opened", token.start, token.end, "delete it, or open it", ""
                 )
-                self.scan.blank(token.start, token.end)
+                self.scan.blank_out(token.start, token.end)
                 return False
             message = f"`{text}` where `{expected_signs[-1]}` was expected"
             self.scan.error(
@@ -132,19 +132,19 @@ class _Parentheses:
         else:
             while expected_signs.pop() != text:
                 inner = self.out[self.open.pop()]
-                sign = text_of(self.scan, inner)
+                sign = token_text(self.scan, inner)
                 at = self.out[-1].end
-                _unclosed(self.scan, inner, sign, at)
+                _report_unclosed(self.scan, inner, sign, at)
                 self.out.append(Token("close", at, at, -1, _CLOSING[sign]))
                 self.origin.append(index)
         self.open.pop()
         return True
 
-    def closed_later(self, index: int, expected_sign: str) -> bool:
+    def is_closed_later(self, index: int, expected_sign: str) -> bool:
         """Return whether the open bracket has its closing one further on in the line."""
         depth = 0
         for token in self.scan.tokens[index + 1 : index + 1 + _LOOKED_AHEAD]:
-            text = text_of(self.scan, token) if token.kind in ("open", "close") else ""
+            text = token_text(self.scan, token) if token.kind in ("open", "close") else ""
             if token.kind == "end" or text in ("{", "}"):
                 return False
             if depth == 0 and text == expected_sign:
@@ -152,7 +152,7 @@ class _Parentheses:
             depth += (_CLOSING.get(text) == expected_sign) - (text == expected_sign)
         return False
 
-    def forgotten(self, index: int) -> int:
+    def close_forgotten(self, index: int) -> int:
         """Close a bracket that stays open at the end of its line, or of the following lines that are indented more. Returns where
         to continue."""
         first, last = self.open[0], self.out[self.open[-1]]
@@ -160,21 +160,21 @@ class _Parentheses:
         cut = len(self.out)
         for place in range(first + 1, len(self.out) - 1):
             following = self.out[place + 1]
-            if text_of(self.scan, following) == "->":  # never inside parentheses
+            if token_text(self.scan, following) == "->":  # never inside parentheses
                 cut = place + 1
                 break
             if self.out[place].kind == "soft" and following.kind != "soft":
-                word = text_of(self.scan, following) if following.kind == "word" else ""
+                word = token_text(self.scan, following) if following.kind == "word" else ""
                 if following.indent <= indent or word in _LINE_WORDS:
                     cut = place
                     break
         while self.out[cut - 1].kind == "soft":
             cut -= 1
-        text = text_of(self.scan, last)
+        text = token_text(self.scan, last)
         at = self.out[cut - 1].end
-        _unclosed(self.scan, last, text, at)
+        _report_unclosed(self.scan, last, text, at)
         go_on = self.origin[cut] if cut < len(self.out) else index
-        closing = [Token("close", at, at, -1, _CLOSING[text_of(self.scan, self.out[place])]) for place in reversed(self.open)]
+        closing = [Token("close", at, at, -1, _CLOSING[token_text(self.scan, self.out[place])]) for place in reversed(self.open)]
         del self.out[cut:], self.origin[cut:]
         self.out.extend(closing)
         self.origin.extend([go_on] * len(closing))
@@ -183,7 +183,7 @@ class _Parentheses:
 
 
 @dataclass(slots=True)
-class _Open:
+class _OpenBrace:
     """An open brace: its token, its index in the output, and the indents of its line and its contents."""
 
     token: Token
@@ -200,13 +200,13 @@ class _Braces:
         self.tokens = tokens
         self.indents = _line_indents(tokens)
         self.out: list[Token] = []
-        self.stack: list[_Open] = []
+        self.stack: list[_OpenBrace] = []
         self.line = 0
         self.set_in = any(token.indent > 0 and token.kind != "end" for token in tokens)  # whether this author sets blocks in
         self.surplus = 0  # how many more are closed than opened
 
     def run(self) -> list[Token]:
-        signs = [text_of(self.scan, token) for token in self.tokens if token.kind in ("open", "close")]
+        signs = [token_text(self.scan, token) for token in self.tokens if token.kind in ("open", "close")]
         depth = lowest = 0
         for sign in signs:
             depth += (sign == "{") - (sign == "}")
@@ -218,20 +218,20 @@ class _Braces:
             self.step(token, self.indents[index])
         if self.stack:
             end = self.tokens[-1].end
-            _unclosed(self.scan, self.stack[-1].token, "{", end)
+            _report_unclosed(self.scan, self.stack[-1].token, "{", end)
             self.out.extend(Token("close", end, end, -1, "}") for _ in self.stack)
         return self.out
 
     def step(self, token: Token, indent: int) -> None:
-        sign = text_of(self.scan, token) if token.kind in ("open", "close") else ""
+        sign = token_text(self.scan, token) if token.kind in ("open", "close") else ""
         self.line += token.kind == "end" and self.scan.source.text[token.start] == "\n"
         if token.kind != "end" and sign != "}":
             self.dedent(token)
             if self.stack and self.stack[-1].inner is None:
                 self.stack[-1].inner = token.indent
         if sign == "{":
-            self.stack.append(_Open(token, indent, self.line))
-        elif sign == "}" and not self.closes(token, indent):
+            self.stack.append(_OpenBrace(token, indent, self.line))
+        elif sign == "}" and not self.close_brace(token, indent):
             return
         self.out.append(token)
 
@@ -244,7 +244,7 @@ class _Braces:
                 return
             self.close_before_line()
 
-    def closes(self, token: Token, indent: int) -> bool:
+    def close_brace(self, token: Token, indent: int) -> bool:
         """Return whether a `}` pairs with an open brace; if not, report it and leave it out."""
         if token.indent >= 0:
             if any(entry.indent == token.indent for entry in self.stack) and not (self.stack[-1].indent < token.indent):
@@ -254,23 +254,23 @@ class _Braces:
                 return True
             if (not self.stack or self.stack[-1].indent < token.indent) and self.surplus > 0:
                 self.surplus -= 1
-                return self.opened_late(token)
+                return self.repair_opening(token)
         elif self.surplus > 0 and not (self.stack and (self.stack[-1].line == self.line or self.stack[-1].inner == -1)):
             self.surplus -= 1
-            return self.drop(token)
+            return self.drop_brace(token)
         if not self.stack:
-            return self.drop(token)
+            return self.drop_brace(token)
         self.stack.pop()
         return True
 
-    def drop(self, token: Token) -> bool:
+    def drop_brace(self, token: Token) -> bool:
         self.scan.error(
             "unopened-brace", "`}` without a `{`", token.start, token.end, "delete it, or write the `{` that it closes", ""
         )
-        self.scan.blank(token.start, token.end)
+        self.scan.blank_out(token.start, token.end)
         return False
 
-    def opened_late(self, token: Token) -> bool:
+    def repair_opening(self, token: Token) -> bool:
         """Insert a missing `{`: find the line that begins a block with the same indent as the `}`. Returns whether there is
         one."""
         nothing_left = -1 if len(self.scan.report.diagnostics) < _SEARCHED else len(self.out)
@@ -278,18 +278,18 @@ class _Braces:
             candidate = self.out[place]
             if candidate.kind == "end" or candidate.indent < 0 or candidate.indent > token.indent:
                 continue
-            if candidate.indent < token.indent or text_of(self.scan, candidate) not in BLOCK_WORDS:
+            if candidate.indent < token.indent or token_text(self.scan, candidate) not in BLOCK_WORDS:
                 break
             stop = next((at for at in range(place, len(self.out)) if self.out[at].kind == "end"), len(self.out))
-            if any(t.kind == "open" and text_of(self.scan, t) == "{" for t in self.out[place:stop]):
+            if any(t.kind == "open" and token_text(self.scan, t) == "{" for t in self.out[place:stop]):
                 break
             last = self.out[stop - 1]
-            word = text_of(self.scan, candidate)
+            word = token_text(self.scan, candidate)
             help = "write `{` at the end of this line"
             self.scan.error("missing-brace", f"`{word}` without a `{{`", candidate.start, last.end, help, " {", last.end)
             self.out.insert(stop, Token("open", last.end, last.end, -1, "{"))
             return True
-        return self.drop(token)
+        return self.drop_brace(token)
 
     def close_before_line(self) -> None:
         """Report the innermost open brace, and insert its `}` at the end of the last line read."""
@@ -298,11 +298,11 @@ class _Braces:
         while place and self.out[place - 1].kind == "end":
             place -= 1
         at = self.out[place - 1].end
-        _unclosed(self.scan, entry.token, "{", at)
+        _report_unclosed(self.scan, entry.token, "{", at)
         self.out.insert(place, Token("close", at, at, -1, "}"))
 
 
-def _unclosed(scan: Scan, token: Token, sign: str, at: int) -> None:
+def _report_unclosed(scan: Scan, token: Token, sign: str, at: int) -> None:
     """Report a bracket that stays open and is assumed to end at `at`."""
     code, closing = ("unclosed-brace" if sign == "{" else "unclosed-bracket"), _CLOSING[sign]
     fix = closing if sign != "{" else f" {closing}"

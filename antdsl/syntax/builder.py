@@ -297,7 +297,7 @@ class Builder:
         return Result(parts[0], self.over(parts))
 
     def spec_for(self, parts: list[Any]) -> n.SpecLine:
-        return self._expects("for", parts[1], parts[2], parts)
+        return self._make_claim("for", parts[1], parts[2], parts)
 
     def spec_seeds(self, parts: list[Any]) -> n.SpecLine:
         return n.SpecLine(str(parts[0].value), None, None, parts[1], (), self.over(parts))
@@ -313,15 +313,15 @@ class Builder:
         return n.SpecLine("against", scene, None, None, body.lines if body else (), self.over(parts))
 
     def spec_claim(self, parts: list[Any]) -> n.SpecLine:
-        return self._expects(str(parts[0].value), None, parts[1], parts)
+        return self._make_claim(str(parts[0].value), None, parts[1], parts)
 
     def spec_within(self, parts: list[Any]) -> n.SpecLine:
-        return self._expects("within", parts[1], parts[2], parts)
+        return self._make_claim("within", parts[1], parts[2], parts)
 
     def spec_when(self, parts: list[Any]) -> n.SpecLine:
-        return self._expects(str(parts[2].value), parts[3] if len(parts) > 4 else None, parts[-1], parts, parts[1])
+        return self._make_claim(str(parts[2].value), parts[3] if len(parts) > 4 else None, parts[-1], parts, parts[1])
 
-    def _expects(self, kind: str, time: Any, condition: Any, parts: list[Any], since: Any = None) -> n.SpecLine:
+    def _make_claim(self, kind: str, time: Any, condition: Any, parts: list[Any], since: Any = None) -> n.SpecLine:
         expectation, _, held = condition or (None, None, None)
         return n.SpecLine(kind, None, time, expectation, (), self.over([*parts[:-1], expectation, held]), held, since)
 

@@ -10,19 +10,19 @@ from typing import Any
 from antdsl import limits
 from antdsl.source import Source, Span
 from antdsl.syntax.blocks import Line
-from antdsl.syntax.brackets import text_of
+from antdsl.syntax.brackets import token_text
 from antdsl.syntax.scan import Scan, Token
 
 Sizes = tuple[int, int, int]
 NOTHING: Sizes = (0, 0, 0)
 
 
-def sizes_of(scanned: Scan, lines: list[Line]) -> Sizes:
+def count_sizes(scanned: Scan, lines: list[Line]) -> Sizes:
     """Return the number of words, statements and species of a text."""
-    return len(scanned.tokens), sum(1 for _ in _statements(lines)), len(_species(scanned, lines))
+    return len(scanned.tokens), sum(1 for _ in _all_lines(lines)), len(_species_words(scanned, lines))
 
 
-def together(one: Sizes, other: Sizes) -> Sizes:
+def add_sizes(one: Sizes, other: Sizes) -> Sizes:
     """The sizes of two parts of a file."""
     return one[0] + other[0], one[1] + other[1], one[2] + other[2]
 
@@ -33,11 +33,11 @@ def is_within(sizes: Sizes) -> bool:
     return words <= limits.TOKENS and statements <= limits.STATEMENTS and species <= limits.SPECIES
 
 
-def has_too_many(scanned: Scan, lines: list[Line]) -> bool:
+def report_too_many(scanned: Scan, lines: list[Line]) -> bool:
     """Return whether a text has more words, statements or species than allowed, and report it. They are counted before the
     expensive work."""
-    species = _species(scanned, lines)
-    statements = [line.tokens[0] for line in _statements(lines)]
+    species = _species_words(scanned, lines)
+    statements = [line.tokens[0] for line in _all_lines(lines)]
     counts = ((species, limits.SPECIES, "species"), (statements, limits.STATEMENTS, "statements"))
     for entries, most, what in (*counts, (scanned.tokens, limits.TOKENS, "words, numbers and signs")):
         if len(entries) > most:
@@ -48,20 +48,20 @@ def has_too_many(scanned: Scan, lines: list[Line]) -> bool:
     return False
 
 
-def _species(scanned: Scan, lines: list[Line]) -> list[Token]:
+def _species_words(scanned: Scan, lines: list[Line]) -> list[Token]:
     """The first word of each species."""
-    return [line.tokens[0] for line in lines if text_of(scanned, line.tokens[0]) == "species"]
+    return [line.tokens[0] for line in lines if token_text(scanned, line.tokens[0]) == "species"]
 
 
-def _statements(lines: list[Line]) -> Iterator[Line]:
+def _all_lines(lines: list[Line]) -> Iterator[Line]:
     """Yield lines and all lines within their braces, in the order of the text."""
     for line in lines:
         yield line
         for group in line.groups:
-            yield from _statements(group.lines)
+            yield from _all_lines(group.lines)
 
 
-def deep_places(node: Any) -> Iterator[Span]:
+def find_too_deep(node: Any) -> Iterator[Span]:
     """The spans of the nodes that lie deeper than allowed."""
     stack: list[tuple[Any, int]] = [(node, 0)]
     while stack:

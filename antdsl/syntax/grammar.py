@@ -41,12 +41,12 @@ def tables_text() -> str:
     data, memo = build_parser().memo_serialize([TerminalDef, Rule])
     data["options"]["strict"] = False  # collisions were looked for just now, and `interegular` is not where antdsl is used
     data["options"].pop("cache_grammar", None)  # not known to lark 1.2, and at its default
-    data["parser"]["parser"] = numbered(data["parser"]["parser"])
+    data["parser"]["parser"] = number_tokens(data["parser"]["parser"])
     tables = {"grammar": grammar_hash(), "data": data, "memo": memo}
     return json.dumps(tables, separators=(",", ":"), ensure_ascii=True) + "\n"
 
 
-def numbered(table: dict[str, Any]) -> dict[str, Any]:
+def number_tokens(table: dict[str, Any]) -> dict[str, Any]:
     """Return a parse table with tokens numbered by name, and states by breadth-first order from the start states along token
     names. Lark's own numbers depend on memory addresses and differ between builds."""
     names = sorted(table["tokens"].values())
@@ -73,10 +73,10 @@ def numbered(table: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-def write() -> None:
+def write_tables() -> None:
     resources.grammar_file(GRAMMAR_FILE).write_text(grammar_text(), encoding="utf-8")
     resources.grammar_file(TABLES_FILE).write_text(tables_text(), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    write()
+    write_tables()

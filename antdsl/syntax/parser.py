@@ -17,19 +17,19 @@ from antdsl.diagnostics.model import Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
-from antdsl.syntax.blocks import Group, Line, Lookup, cut, lookup
-from antdsl.syntax.brackets import pair, text_of
+from antdsl.syntax.blocks import Group, Line, MappedText, cut_lines, map_text
+from antdsl.syntax.brackets import pair_brackets, token_text
 from antdsl.syntax.builder import Builder, Header, Result
-from antdsl.syntax.file_limits import NOTHING, Sizes, deep_places, has_too_many, is_within, sizes_of
+from antdsl.syntax.file_limits import NOTHING, Sizes, count_sizes, find_too_deep, is_within, report_too_many
 from antdsl.syntax.mistakes.unexpected_tokens import (
     UnexpectedToken,
     begins_line,
     better_first_word,
-    complain,
     forgets_brackets,
-    gives_with_two,
-    misplaced,
-    plain_complaint,
+    has_doubled_sign,
+    make_diagnostic,
+    misplaced_diagnostic,
+    plain_diagnostic,
 )
 from antdsl.syntax.scan import UNREADABLE, Scan, scan
 from antdsl.syntax.tables import load_parser
@@ -85,7 +85,7 @@ _SEPARATORS = frozenset(
 
 
 @lru_cache(maxsize=1)
-def _tools() -> tuple[Lark, Builder]:
+def _load_tools() -> tuple[Lark, Builder]:
     builder = Builder()
     return load_parser(builder), builder
 
@@ -102,19 +102,19 @@ def parse(source: Source) -> tuple[n.File, Report]:
         if report.ok:
             report.error("empty-file", "file has nothing in it", Span(source, 0, 0), "begin with `ant 1`, then write a `species`")
         return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
-    tokens = pair(scanned)
+    tokens = pair_brackets(scanned)
     if tokens is None:
         return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
-    lines = cut(scanned, tokens)
+    lines = cut_lines(scanned, tokens)
     scanned.faults.sort()
-    if has_too_many(scanned, lines):
+    if report_too_many(scanned, lines):
         return n.File(source, None, None, (), tuple(scanned.comments), broken=True), report
     with _lock:
-        return _Reading(scanned).file(lines), report
+        return _Parsing(scanned).file(lines), report
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Part:
+class ParsedPart:
     """Lines of a file that were read separately. `edition` and `help` only exist if the part begins the file. `sizes`: the number
     of its words, statements and species."""
 
@@ -128,26 +128,26 @@ class Part:
     sizes: Sizes = NOTHING
 
 
-def parse_part(source: Source, rule: str, *, begins: bool = False) -> Part:
+def parse_part(source: Source, rule: str, *, begins: bool = False) -> ParsedPart:
     """Parse some complete lines of a file by the rule of their context: `top`, or `member` inside a species.
 
     Its braces must be paired. A part that exceeds the limits of a file is not read. `begins`: it is the beginning of the file.
     Never raises."""
     report = Report()
     scanned = scan(source, report)
-    tokens = pair(scanned)
+    tokens = pair_brackets(scanned)
     if tokens is None:
-        return Part(source, (), report, tuple(scanned.comments), ())
-    lines = cut(scanned, tokens)
+        return ParsedPart(source, (), report, tuple(scanned.comments), ())
+    lines = cut_lines(scanned, tokens)
     scanned.faults.sort()
-    sizes = sizes_of(scanned, lines)
+    sizes = count_sizes(scanned, lines)
     if not is_within(sizes):
-        return Part(source, (), report, tuple(scanned.comments), (), sizes=sizes)
+        return ParsedPart(source, (), report, tuple(scanned.comments), (), sizes=sizes)
     with _lock:
-        reading = _Reading(scanned)
-        edition, help, lines = reading.beginning(lines) if begins else (None, None, lines)
+        reading = _Parsing(scanned)
+        edition, help, lines = reading.parse_beginning(lines) if begins else (None, None, lines)
         nodes = reading.lines(lines, rule)
-        return Part(source, nodes, report, tuple(scanned.comments), reading.recovered(), edition, help, sizes)
+        return ParsedPart(source, nodes, report, tuple(scanned.comments), reading.recovered_spans(), edition, help, sizes)
 
 
 def _other_language(text: str) -> str | None:
@@ -158,46 +158,46 @@ def _other_language(text: str) -> str | None:
     return "YAML" if re.match(r"(---|%YAML|[A-Za-z_][A-Za-z_0-9]*:)([ \t\r\n]|$)", first) else None
 
 
-class _Reading:
+class _Parsing:
     """One text that is being parsed."""
 
     def __init__(self, scanned: Scan) -> None:
         self.scan = scanned
         self.source = scanned.source
         self.report = scanned.report
-        self.parser, self.builder = _tools()
+        self.parser, self.builder = _load_tools()
         self.builder.bodies = {}
 
     # --- the file ---
 
     def file(self, lines: list[Line]) -> n.File:
-        edition, help, lines = self.beginning(lines)
+        edition, help, lines = self.parse_beginning(lines)
         items = self.lines(lines, "top")
         if not items and self.report.ok:
             help_text = "write a `species`, or a `behaviour` that other files can use"
             self.report.error("empty-file", "file declares nothing", Span(self.source, 0, 0), help_text)
         comments, broken = tuple(self.scan.comments), not self.report.ok
-        return n.File(self.source, edition, help, items, comments, self.recovered(), broken)
+        return n.File(self.source, edition, help, items, comments, self.recovered_spans(), broken)
 
-    def beginning(self, lines: list[Line]) -> tuple[n.Number | None, n.Text | None, list[Line]]:
+    def parse_beginning(self, lines: list[Line]) -> tuple[n.Number | None, n.Text | None, list[Line]]:
         """Return the edition and the help of a file, and the lines that follow."""
-        edition, lines = self.header(lines)
+        edition, lines = self.parse_header(lines)
         help: n.Text | None = None
         if lines and [token.kind for token in lines[0].tokens] == ["text"]:
             first = lines.pop(0)
-            help = n.Text(text_of(self.scan, first.tokens[0])[1:-1], Span(self.source, first.start, first.end))
+            help = n.Text(token_text(self.scan, first.tokens[0])[1:-1], Span(self.source, first.start, first.end))
         return edition, help, lines
 
-    def recovered(self) -> tuple[Span, ...]:
+    def recovered_spans(self) -> tuple[Span, ...]:
         return tuple(d.span for d in self.report.diagnostics if d.code in _DOUBTFUL and d.span is not None)
 
-    def header(self, lines: list[Line]) -> tuple[n.Number | None, list[Line]]:
+    def parse_header(self, lines: list[Line]) -> tuple[n.Number | None, list[Line]]:
         """Return the edition and the lines that follow. Without one, use the current edition and add a warning."""
         if lines and [token.kind for token in lines[0].tokens] == ["number"]:
             span = Span(self.source, lines[0].start, lines[0].end)
             self.report.error("unexpected-text", f"file begins with `{span.text}`", span, "write `ant 1` as the first line")
             return None, lines[1:]
-        if not lines or text_of(self.scan, lines[0].tokens[0]) != "ant":
+        if not lines or token_text(self.scan, lines[0].tokens[0]) != "ant":
             start = lines[0].start if lines else 0
             if not self.scan.has_fault(0, start):
                 message, help = "file does not name its edition", "write `ant 1` as the first line"
@@ -221,27 +221,27 @@ class _Reading:
 
     def line(self, line: Line, rule: str) -> list[Any]:
         """Return the node of a line; none if it has no valid reading, two if a line end is missing."""
-        first = text_of(self.scan, line.tokens[0])
+        first = token_text(self.scan, line.tokens[0])
         if line.groups and first not in LINE_WORDS[rule] and not self.at_error_limit():
             first = nearest_name(first, LINE_WORDS[rule]) or first
         for group in line.groups:
-            self.mute(group)
+            self.mute_block(group)
             body = "weight" if group.chooses else BODIES.get((rule, first)) or BODIES.get((rule, "*"))
             self.builder.bodies[group.open.start] = self.lines(group.lines, body) if body else ()
-        text = lookup(self.scan, line)
+        text = map_text(self.scan, line)
         from lark.exceptions import UnexpectedInput
 
         try:
-            return self.checked(self.attempt(text, rule), line)
+            return self.check_node(self.try_parse(text, rule), line)
         except UnexpectedInput as error:
             at_error_limit = self.at_error_limit()
-            unexpected = self.unexpected(error, line, text, rule, at_error_limit)
-            if not self.damaged(line, text):
-                self.report.add(plain_complaint(unexpected) if at_error_limit else complain(unexpected))
+            unexpected = self.make_unexpected(error, line, text, rule, at_error_limit)
+            if not self.has_diagnostic(line, text):
+                self.report.add(plain_diagnostic(unexpected) if at_error_limit else make_diagnostic(unexpected))
                 insort(self.scan.faults, unexpected.span.start)
             return [] if at_error_limit else self.recover(line, text, rule, unexpected)
 
-    def mute(self, group: Group) -> None:
+    def mute_block(self, group: Group) -> None:
         """Suppress faults of a block with a missing `}`: its end is unknown, and its last line may hold words from outside it."""
         if group.close.virtual and group.lines:
             one_line = "\n" not in self.source.text[group.open.start : group.close.end]
@@ -252,11 +252,11 @@ class _Reading:
         """Return whether there are so many errors that further ones are of no use."""
         return len(self.report.diagnostics) > _MENDED
 
-    def attempt(self, text: Lookup, rule: str) -> Any:
+    def try_parse(self, text: MappedText, rule: str) -> Any:
         self.builder.place = text
         return self.parser.parse(text.text, start=rule)
 
-    def damaged(self, line: Line, text: Lookup) -> bool:
+    def has_diagnostic(self, line: Line, text: MappedText) -> bool:
         """Return whether an error about this line is already reported."""
         for _, offset, length in text.parts[:-1]:
             if self.scan.has_fault(offset, offset + length - 1):
@@ -265,21 +265,21 @@ class _Reading:
         stop = self.source.text.find("\n", offset + length)
         return self.scan.has_fault(offset, len(self.source.text) if stop < 0 else stop)
 
-    def checked(self, node: Any, line: Line) -> list[Any]:
+    def check_node(self, node: Any, line: Line) -> list[Any]:
         """Check what the grammar leaves open: depth, the one result of a behaviour, a word that is not a property."""
         if len(line.tokens) > limits.EXPRESSION_DEPTH:
-            for span in deep_places(node):
+            for span in find_too_deep(node):
                 message = f"expression more than {limits.EXPRESSION_DEPTH} operations deep"
                 self.report.error("expression-too-deep", message, span, "give parts of it a name with `let`")
                 return []
         if isinstance(node, n.Behaviour):
-            self.results(node, line)
+            self.check_results(node, line)
         if isinstance(node, n.AnimalProperty) and node.name.text in BELONGS:  # `steer heading` reads like `size 4 mm`
-            self.report.add(misplaced(node.name.text, node.name.span))
+            self.report.add(misplaced_diagnostic(node.name.text, node.name.span))
             return []
         return [node]
 
-    def results(self, node: n.Behaviour, line: Line) -> None:
+    def check_results(self, node: n.Behaviour, line: Line) -> None:
         lines = self.builder.bodies.get(line.groups[-1].open.start, ()) if line.groups else ()
         results = [each for each in lines if isinstance(each, Result)]
         if any(self.scan.has_fault(group.open.start, group.close.end) for group in line.groups):
@@ -293,13 +293,13 @@ class _Reading:
 
     # --- lines that cannot be read ---
 
-    def unexpected(self, error: Any, line: Line, text: Lookup, rule: str, at_error_limit: bool) -> UnexpectedToken:
+    def make_unexpected(self, error: Any, line: Line, text: MappedText, rule: str, at_error_limit: bool) -> UnexpectedToken:
         token = getattr(error, "token", None)
         ended = token is not None and token.type == "$END"
         position = len(text.text) if ended else error.pos_in_stream
         if token is not None and not ended:
             position = token.start_pos
-        offset = text.offset(position)
+        offset = text.source_offset(position)
         # the parser may have taken `->` for a minus and stumbled over its second half
         previous_tokens = [each for each in line.tokens if ended or each.end <= offset]
         next_tokens = line.tokens[len(previous_tokens) :]
@@ -310,48 +310,50 @@ class _Reading:
         expected_terminals = interactive.accepts() if interactive is not None and not at_error_limit else ()
         return UnexpectedToken(
             rule,
-            text_of(self.scan, first),
-            text_of(self.scan, last) if last else "",
+            token_text(self.scan, first),
+            token_text(self.scan, last) if last else "",
             last.kind if last else "",
-            text_of(self.scan, bad_token) if bad_token else "",
+            token_text(self.scan, bad_token) if bad_token else "",
             bad_token.kind if bad_token else "",
             span,
             Span(self.source, first.start, first.end),
             frozenset(expected_terminals),
-            text_of(self.scan, next_tokens[1]) if len(next_tokens) > 1 else "",
-            text_of(self.scan, previous_tokens[-2]) if len(previous_tokens) > 1 else "",
+            token_text(self.scan, next_tokens[1]) if len(next_tokens) > 1 else "",
+            token_text(self.scan, previous_tokens[-2]) if len(previous_tokens) > 1 else "",
         )
 
-    def recover(self, line: Line, text: Lookup, rule: str, unexpected: UnexpectedToken) -> list[Any]:
+    def recover(self, line: Line, text: MappedText, rule: str, unexpected: UnexpectedToken) -> list[Any]:
         """Return what can still be understood of a line with a reported error."""
         position = text.position(unexpected.span.start)
         if unexpected.token_text and begins_line(unexpected):
             halves = [text.splice(position, len(text.text), ""), text.splice(0, position, "")]
             return [node for half in halves for node in self.first_that_parses(iter([half]), rule)]
-        return self.first_that_parses(self.candidates(line, text, rule, unexpected, position), rule)
+        return self.first_that_parses(self.repair_candidates(line, text, rule, unexpected, position), rule)
 
-    def first_that_parses(self, candidates: Iterator[Lookup], rule: str) -> list[Any]:
+    def first_that_parses(self, candidates: Iterator[MappedText], rule: str) -> list[Any]:
         from lark.exceptions import UnexpectedInput
 
         for candidate in candidates:
             try:
-                return [self.attempt(candidate, rule)]
+                return [self.try_parse(candidate, rule)]
             except UnexpectedInput:
                 continue
         return []
 
-    def candidates(self, line: Line, text: Lookup, rule: str, unexpected: UnexpectedToken, position: int) -> Iterator[Lookup]:
+    def repair_candidates(
+        self, line: Line, text: MappedText, rule: str, unexpected: UnexpectedToken, position: int
+    ) -> Iterator[MappedText]:
         better = better_first_word(unexpected)
         if better is not None:
             yield text.splice(0, len(unexpected.first), better)
         if unexpected.token_text == "=" and "SAME" in unexpected.expected_terminals:
             yield text.splice(position, position + 1, ":")
             yield text.splice(position, position + 1, "==")
-        if gives_with_two(unexpected):
+        if has_doubled_sign(unexpected):
             yield text.splice(position, position + 2, "=")
         if forgets_brackets(unexpected):
             yield text.splice(position, position + len(unexpected.token_text), f"({unexpected.token_text})")
-        lefts, rights, clause = self.slots(line, text, position)
+        lefts, rights, clause = self.find_gap(line, text, position)
         for left in lefts:
             for right in rights:
                 if left <= right and "{" not in text.text[left:right]:
@@ -361,15 +363,15 @@ class _Reading:
                 yield text.splice(clause, right, " ")
         if unexpected.token_text and unexpected.token_text not in "{}":
             yield text.splice(position, position + len(unexpected.token_text), "")
-        yield from self.bare(line, text, rule)
+        yield from self.bare_blocks(line, text, rule)
 
-    def slots(self, line: Line, text: Lookup, position: int) -> tuple[list[int], list[int], int]:
+    def find_gap(self, line: Line, text: MappedText, position: int) -> tuple[list[int], list[int], int]:
         """Return where the unreadable part may begin and end: next to the separators around it, and at the line's ends. The third
         value is where the previous separator begins, for leaving out the whole clause."""
         marks: list[tuple[int, int]] = []
         depth = 0
         for token in line.tokens:
-            sign = text_of(self.scan, token)
+            sign = token_text(self.scan, token)
             depth -= sign in (")", "]")
             if depth <= 0 and (sign in _SEPARATORS or token.kind == "text"):
                 start = text.position(token.start)
@@ -377,20 +379,20 @@ class _Reading:
             depth += sign in ("(", "[")
         previous_marks = [mark for mark in marks if mark[1] <= position][-1:]
         lefts = [end for _, end in previous_marks]
-        word_ends = [text.position(token.end) for token in line.tokens[:2] if token.end <= text.offset(position)]
+        word_ends = [text.position(token.end) for token in line.tokens[:2] if token.end <= text.source_offset(position)]
         rights = [start for start, _ in marks if start >= position][:1]
         clause = previous_marks[0][0] if previous_marks else position
         return [*lefts, *reversed(word_ends), 0], [*rights, len(text.text)], clause
 
-    def bare(self, line: Line, text: Lookup, rule: str) -> Iterator[Lookup]:
+    def bare_blocks(self, line: Line, text: MappedText, rule: str) -> Iterator[MappedText]:
         """Yield a block with an unreadable first line, with only its word, its name and its braces."""
         words = [token for token in line.tokens if token.kind in ("word", "text")][:2]
-        first = text_of(self.scan, line.tokens[0])
+        first = token_text(self.scan, line.tokens[0])
         if not line.groups or BODIES.get((rule, first)) is None or len(words) < 2:
             return
         group = line.groups[-1]
-        name = (text_of(self.scan, words[1]), words[1].start, words[1].end - words[1].start)
+        name = (token_text(self.scan, words[1]), words[1].start, words[1].end - words[1].start)
         head = [(f"{first} ", line.start, len(first)), name]
         braces = [("{", group.open.start, len("{")), ("}", group.close.start, group.close.end - group.close.start)]
         extra = {"field": " on x ", "behaviour": "() -> push "}.get(first, " ")
-        yield Lookup(self.source, [*head, (extra, words[1].end, 0), *braces])
+        yield MappedText(self.source, [*head, (extra, words[1].end, 0), *braces])

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field, replace
 from antdsl.diagnostics.model import Diagnostic, Fix, Label, Report
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
-from antdsl.syntax.file_limits import NOTHING, is_within, together
-from antdsl.syntax.parser import Part, parse, parse_part
+from antdsl.syntax.file_limits import NOTHING, add_sizes, is_within
+from antdsl.syntax.parser import ParsedPart, parse, parse_part
 from antdsl.syntax.words import BLOCK_WORDS, LINE_WORDS
 
 # Brackets and line ends, with what may hide them. What has a name here, only reading the whole text can make sense of.
@@ -29,7 +29,7 @@ _MOST = 50  # complaints of parsing, after which less is said of further ones
 
 
 @dataclass(frozen=True, slots=True)
-class Cut:
+class TextBlock:
     """Complete lines from one offset to another, and the rule that reads them."""
 
     rule: str
@@ -37,22 +37,24 @@ class Cut:
     end: int
 
 
-def cuts(text: str) -> list[Cut] | None:
+def cut_blocks(text: str) -> list[TextBlock] | None:
     """Return the blocks of a text in order: those at the top of the file; for a species, its first line and its members. None if
     the brackets are not paired, or something else requires the whole text."""
-    tops, members = _bounds(text)
+    tops, members = _find_bounds(text)
     if not tops or not _EDITION.match(text, 0, tops[0]):
         return None
-    cut_list: list[Cut] = [Cut("begins", 0, tops[0])]
+    cut_list: list[TextBlock] = [TextBlock("begins", 0, tops[0])]
     for start, end in zip(tops, [*tops[1:], len(text)], strict=True):
-        cut_list += _species(text, start, end, members) if text.startswith("species", start) else [Cut("top", start, end)]
+        cut_list += (
+            _cut_species(text, start, end, members) if text.startswith("species", start) else [TextBlock("top", start, end)]
+        )
     return cut_list
 
 
-def _bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int]]]:
+def _find_bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int]]]:
     """Return where blocks begin at the top of the file. Also return, by the offset of each opening brace there, where its own
     lines begin and where it closes."""
-    tops: list[int] = [0] if _word(text, 0) in _TOP else []
+    tops: list[int] = [0] if _first_word(text, 0) in _TOP else []
     members: dict[int, tuple[list[int], int]] = {}
     stack: list[str] = []
     opened, lines = 0, []  # type: tuple[int, list[int]]
@@ -62,7 +64,7 @@ def _bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int
         sign = match.group()
         if sign == "\n":
             if not stack:
-                if _word(text, match.end()) in _TOP:
+                if _first_word(text, match.end()) in _TOP:
                     tops.append(match.end())
             elif len(stack) == 1 and stack[0] == "{":
                 lines.append(match.end())
@@ -80,57 +82,57 @@ def _bounds(text: str) -> tuple[list[int] | None, dict[int, tuple[list[int], int
     return (None if stack else tops), members
 
 
-def _word(text: str, offset: int) -> str:
+def _first_word(text: str, offset: int) -> str:
     match = _FIRST.match(text, offset)
     return match.group(1) if match else ""
 
 
-def _species(text: str, start: int, end: int, members: dict[int, tuple[list[int], int]]) -> Iterator[Cut]:
+def _cut_species(text: str, start: int, end: int, members: dict[int, tuple[list[int], int]]) -> Iterator[TextBlock]:
     head = _SPECIES.match(text, start, end)
     opened = text.find("{", start, end)
     lines, closed = members.get(opened, ([], -1))
     rest = text[closed + 1 : end] if closed >= 0 else ""
     if head is None or not lines or re.sub("#[^\n]*", "", rest).strip() or text[lines[-1] : closed].strip():
-        yield Cut("top", start, end)
+        yield TextBlock("top", start, end)
         return
-    yield Cut("species", start, head.end())
+    yield TextBlock("species", start, head.end())
     begin, block = head.end(), False
     for line in lines[:-1] if lines[0] == head.end() else lines:
-        word = _word(text, line)
+        word = _first_word(text, line)
         if line > begin and word and (block or word in _BLOCKS):
-            yield Cut("member", begin, line)
+            yield TextBlock("member", begin, line)
             begin = line
         if word:
             block = word in _BLOCKS
-    yield Cut("member", begin, lines[-1])
+    yield TextBlock("member", begin, lines[-1])
 
 
 @dataclass(slots=True)
-class Parts:
+class IncrementalParser:
     """The parsed blocks of one file, stored from one version of it to the next."""
 
-    _known: list[tuple[Cut, str, Part]] = field(default_factory=list)
+    _known: list[tuple[TextBlock, str, ParsedPart]] = field(default_factory=list)
     _count: int = 0
 
     def parse(self, source: Source) -> tuple[n.File, Report]:
         """As `syntax.parse`, with the same errors. The file's nodes have locations in its parts: `File.whole` converts them to
         `source`. Comments after the closing brace of a species are left out."""
-        cut_list = cuts(source.text)
+        cut_list = cut_blocks(source.text)
         if cut_list is None or len(cut_list) < 3:
             return parse(source)
         texts = [source.text[cut.start : cut.end] + ("}" if cut.rule == "species" else "") for cut in cut_list]
-        head_count, tail_count = self._same(cut_list, texts)
+        head_count, tail_count = self._count_same(cut_list, texts)
         last = len(cut_list) - tail_count
-        known: list[tuple[Cut, str, Part]] = []
+        known: list[tuple[TextBlock, str, ParsedPart]] = []
         sizes = NOTHING
         for number, (cut, text) in enumerate(zip(cut_list, texts, strict=True)):
             part = (
                 self._known[number][2] if number < head_count
                 else self._known[number - len(cut_list)][2] if number >= last
-                else self._part(source, cut, text)
+                else self._parse_block(source, cut, text)
             )  # fmt: skip
             known.append((cut, text, part))
-            sizes = together(sizes, part.sizes)
+            sizes = add_sizes(sizes, part.sizes)
             if not is_within(sizes):
                 return parse(source)  # which says so, and reads no more of it
         self._known = known
@@ -140,9 +142,9 @@ class Parts:
         hard = any(part.report.diagnostics or not _is_species(part) for part in species_parts)
         if hard or len(said) > _MOST or sum(d.code in _SINGLE_CODES for d in said) > 1:
             return parse(source)
-        return _file(source, parts)
+        return _join_parts(source, parts)
 
-    def _same(self, cut_list: list[Cut], texts: list[str]) -> tuple[int, int]:
+    def _count_same(self, cut_list: list[TextBlock], texts: list[str]) -> tuple[int, int]:
         """Return how many blocks at the beginning and at the end are unchanged. Blocks with equal text have different locations,
         so their order identifies them."""
         known, most = self._known, min(len(self._known), len(cut_list))
@@ -156,20 +158,20 @@ class Parts:
         return head_count, tail_count
 
     @staticmethod
-    def _is_same(known: tuple[Cut, str, Part], cut: Cut, text: str) -> bool:
+    def _is_same(known: tuple[TextBlock, str, ParsedPart], cut: TextBlock, text: str) -> bool:
         return known[0].rule == cut.rule and known[1] == text
 
-    def _part(self, source: Source, cut: Cut, text: str) -> Part:
+    def _parse_block(self, source: Source, cut: TextBlock, text: str) -> ParsedPart:
         self._count += 1
         rule = "top" if cut.rule in ("begins", "species") else cut.rule
         return parse_part(Source(source.path, text, self._count), rule, begins=cut.rule == "begins")
 
 
-def _is_species(part: Part) -> bool:
+def _is_species(part: ParsedPart) -> bool:
     return len(part.nodes) == 1 and isinstance(part.nodes[0], n.Species)
 
 
-def _file(source: Source, parts: list[tuple[Cut, Part]]) -> tuple[n.File, Report]:
+def _join_parts(source: Source, parts: list[tuple[TextBlock, ParsedPart]]) -> tuple[n.File, Report]:
     items: list[n.TopItem] = []
     species: n.Species | None = None
     for cut, part in parts:
@@ -185,10 +187,10 @@ def _file(source: Source, parts: list[tuple[Cut, Part]]) -> tuple[n.File, Report
         tuple(span for _, part in parts for span in part.recovered), any(not part.report.ok for _, part in parts),
         {part.source: cut.start for cut, part in parts},
     )  # fmt: skip
-    return file, Report([moved(each, file.file_span) for _, part in parts for each in part.report.diagnostics])
+    return file, Report([move_diagnostic(each, file.file_span) for _, part in parts for each in part.report.diagnostics])
 
 
-def moved(diagnostic: Diagnostic, to_file_span: Callable[[Span], Span]) -> Diagnostic:
+def move_diagnostic(diagnostic: Diagnostic, to_file_span: Callable[[Span], Span]) -> Diagnostic:
     """Return a diagnostic with its locations in complete files instead of in parts of them."""
     labels = tuple(Label(to_file_span(label.span), label.text) for label in diagnostic.labels)
     fix = Fix(to_file_span(diagnostic.fix.span), diagnostic.fix.text) if diagnostic.fix is not None else None

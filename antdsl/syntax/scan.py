@@ -12,15 +12,15 @@ from dataclasses import dataclass, field
 from antdsl import limits
 from antdsl.diagnostics.model import Fix, Report
 from antdsl.source import Source, Span
-from antdsl.syntax.mistakes.number_slips import NO_SECOND, WITH_COMMAS, comma_in_number, number_problem, unit_help
+from antdsl.syntax.mistakes.number_slips import NO_SECOND, WITH_COMMAS, comma_diagnostic, number_problem, unit_help
 from antdsl.syntax.mistakes.stray_text import (
     DOUBLE_QUOTES,
     SINGLE_QUOTES,
     WRONG_SIGNS,
     ascii_for,
     blank_lines,
-    look_over,
-    word_instead,
+    check_stray_text,
+    replacement_word,
 )
 from antdsl.syntax.nodes import Comment
 from antdsl.syntax.words import NUMBER, UNIT, UNIT_SLIPS, UNITS
@@ -67,7 +67,7 @@ class Scan:
         self.report.error(code, message, span, help, fix=None if fix is None else Fix(place, fix))
         self.faults.append(start)
 
-    def blank(self, start: int, end: int) -> None:
+    def blank_out(self, start: int, end: int) -> None:
         self.clean[start:end] = " " * (end - start)
 
     def replace(self, start: int, text: str) -> None:
@@ -111,7 +111,7 @@ _NO_NUMBERS = ("nan", "inf", "infinity")
 def scan(source: Source, report: Report) -> Scan:
     """Return the tokens of a text. Errors go to `report`; no text raises an exception."""
     text_scan = Scan(source, report, list(source.text))
-    look_over(text_scan)
+    check_stray_text(text_scan)
     _Scanner(text_scan).run()
     text_scan.faults.sort()
     return text_scan
@@ -135,7 +135,7 @@ class _Scanner:
             assert match is not None and match.lastgroup is not None
             position = getattr(self, match.lastgroup)(match.start(), match.end(), match.group())
 
-    def token(self, kind: str, start: int, end: int) -> int:
+    def add_token(self, kind: str, start: int, end: int) -> int:
         self.found.tokens.append(Token(kind, start, end, self.indent))
         self.indent = 0 if kind == "end" and self.characters[start] == "\n" else -1
         self.last_end = end
@@ -144,16 +144,16 @@ class _Scanner:
     def blank(self, start: int, end: int, piece: str) -> int:  # also for blanks that had to be put right
         if self.indent >= 0:
             self.indent += sum(4 if character == "\t" else 1 for character in piece if character != "\r")
-        self.found.blank(start, end)
+        self.found.blank_out(start, end)
         return end
 
     def comment(self, start: int, end: int, piece: str) -> int:
         self.found.comments.append(Comment(piece.rstrip("\r"), Span(self.found.source, start, end - piece.endswith("\r"))))
-        self.found.blank(start, end)
+        self.found.blank_out(start, end)
         return end
 
     def end(self, start: int, end: int, piece: str) -> int:
-        return self.token("end", start, end)
+        return self.add_token("end", start, end)
 
     def sign(self, start: int, end: int, piece: str) -> int:
         if piece == "." and self.characters[end : end + 1].isdigit() and self.last_end != start:
@@ -164,34 +164,34 @@ class _Scanner:
                     "bad-number", f"number `{digits.group()}` begins with a dot", start, stop, f"write `0{digits.group()}`"
                 )
                 self.found.replace(start, "1" + " " * (stop - start - 1))
-                return self.token("number", start, self.quantity_end(stop))
-        return self.token("sign", start, end)
+                return self.add_token("number", start, self.quantity_end(stop))
+        return self.add_token("sign", start, end)
 
     def open(self, start: int, end: int, piece: str) -> int:
         declares = [self.characters[each.start : each.end] for each in self.found.tokens[-2:-1]] == ["behaviour"]
         self.inside = 0 if piece == "{" or declares else self.inside + 1
-        return self.token("open", start, end)
+        return self.add_token("open", start, end)
 
     def close(self, start: int, end: int, piece: str) -> int:
         self.inside = max(0, self.inside - 1) if piece != "}" else 0
-        return self.token("close", start, end)
+        return self.add_token("close", start, end)
 
     # --- words and numbers ---
 
     def word(self, start: int, end: int, piece: str) -> int:
         if self.characters[end : end + 1] > "\x7f" and self.characters[end].isalnum():
-            return self.foreign_word(start)
+            return self.repair_foreign_word(start)
         if piece in _NO_NUMBERS and not _COLON.match(self.characters, end):
             help = "leave the limit out, or write a large number"
             self.found.error("bad-number", f"`{piece}` is not a number here", start, end, help)
-            return self.unreadable(start, end)
+            return self.mark_unreadable(start, end)
         if len(piece) > limits.NAME_CHARACTERS:
             message = f"name of {len(piece)} characters, at most {limits.NAME_CHARACTERS} are allowed"
             self.found.error("name-too-long", message, start, end, "choose a shorter name")
             self.reported.add(piece)
         hyphened = _HYPHENED.match(self.characters, start)
-        if hyphened and self.found.tokens and text_before(self.found) in _NAMING:
-            return self.hyphens(start, hyphened.end(), hyphened.group())
+        if hyphened and self.found.tokens and last_token_text(self.found) in _NAMING:
+            return self.repair_hyphens(start, hyphened.end(), hyphened.group())
         if not re.fullmatch(r"[a-z][a-z_0-9]*", piece):
             better = re.sub(r"[^a-z0-9_]", "_", re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", piece).lower()).strip("_") or "name"
             if piece not in self.reported:
@@ -201,9 +201,9 @@ class _Scanner:
                 help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
                 self.found.error("bad-name", message, start, end, help, better)
             self.found.replace(start, re.sub("^_+", lambda under: "x" * len(under.group()), piece.lower()))
-        return self.token("word", start, end)
+        return self.add_token("word", start, end)
 
-    def hyphens(self, start: int, end: int, piece: str) -> int:
+    def repair_hyphens(self, start: int, end: int, piece: str) -> int:
         """Correct hyphens, such as `turn-home`, in a name that is declared or names a state."""
         better = piece.replace("-", "_").lower()
         if piece not in self.reported:
@@ -211,9 +211,9 @@ class _Scanner:
             help = f"write `{better[:80]}`; names are small letters, digits and `_`, and begin with a letter"
             self.found.error("bad-name", f"name `{piece[:80]}` has a `-` in it", start, end, help, better)
         self.found.replace(start, better)
-        return self.token("word", start, end)
+        return self.add_token("word", start, end)
 
-    def foreign_word(self, start: int) -> int:
+    def repair_foreign_word(self, start: int) -> int:
         """Correct a word with letters or digits that are not ASCII, letter by letter."""
         match = _ANY_WORD.match(self.characters, start)
         piece = match.group() if match else self.characters[start]
@@ -222,7 +222,7 @@ class _Scanner:
         if re.fullmatch(r"[µμ]N", piece):
             self.found.error("look-alike", f"unit `{piece}` has a Greek letter", start, end, "write `uN`", "uN")
             self.found.replace(start, "uN")
-            return self.token("word", start, end)
+            return self.add_token("word", start, end)
         if piece not in self.reported:
             self.reported.add(piece)
             odd = next(character for character in piece if character > "\x7f")
@@ -239,7 +239,7 @@ class _Scanner:
             digits = len(plain) - len(plain.lstrip("0123456789"))
             return self.number(start, start + digits, plain[:digits])
         self.found.replace(start, "x" * (len(plain) - len(plain.lstrip("_"))))
-        return self.token("word", start, end)
+        return self.add_token("word", start, end)
 
     def quantity_end(self, end: int) -> int:
         tail = _BEHIND.match(self.characters, end)
@@ -248,7 +248,7 @@ class _Scanner:
     def number(self, start: int, end: int, piece: str) -> int:
         commas = WITH_COMMAS.match(self.characters, start)
         if commas is not None and (not self.inside or NO_SECOND.search(commas.group())):
-            return self.commas(start, commas.end())
+            return self.repair_commas(start, commas.end())
         problem = number_problem(piece, self.characters, end)
         if problem is not None:
             message, stop, help = problem
@@ -262,29 +262,29 @@ class _Scanner:
             if slip is not None:
                 message = f"`{slip.group(1)}` is not a unit"
                 self.found.error("unknown-unit", message, slip.start(1), slip.end(), UNIT_SLIPS[slip.group(1)])
-                return self.unreadable(start, slip.end())
+                return self.mark_unreadable(start, slip.end())
         elif (glued := _WORD.match(self.characters, end)) is not None:
             unit = glued.group()
             self.found.error("unknown-unit", f"`{unit[:80]}` is not a unit", end, glued.end(), unit_help(unit))
-            return self.unreadable(start, glued.end())
-        return self.token("number", start, end)
+            return self.mark_unreadable(start, glued.end())
+        return self.add_token("number", start, end)
 
-    def commas(self, start: int, end: int) -> int:
+    def repair_commas(self, start: int, end: int) -> int:
         """Report a number with a comma where no comma can separate two numbers. If a decimal comma is meant, read it with a
         dot."""
-        diagnostic = comma_in_number(Span(self.found.source, start, end))
+        diagnostic = comma_diagnostic(Span(self.found.source, start, end))
         self.found.report.add(diagnostic)
         self.found.faults.append(start)
         if diagnostic.fix is None or len(diagnostic.fix.text) < end - start:
-            return self.unreadable(start, self.quantity_end(end))
+            return self.mark_unreadable(start, self.quantity_end(end))
         self.found.replace(start, diagnostic.fix.text)
-        return self.token("number", start, self.quantity_end(end))
+        return self.add_token("number", start, self.quantity_end(end))
 
-    def unreadable(self, start: int, end: int) -> int:
+    def mark_unreadable(self, start: int, end: int) -> int:
         """Add a token for a number with an unknown unit; unit checks skip it."""
-        self.found.blank(start, end)
+        self.found.blank_out(start, end)
         self.found.replace(start, UNREADABLE)
-        return self.token("number", start, end)
+        return self.add_token("number", start, end)
 
     # --- what does not belong ---
 
@@ -299,17 +299,17 @@ class _Scanner:
             self.found.error("unknown-sign", f"`{piece}` does not begin a comment", start, end, help)
             blank_lines(self.found, start, stop)
             return stop
-        fix = word_instead(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
+        fix = replacement_word(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
         self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
         if repair is None:
-            self.found.blank(start, end)
+            self.found.blank_out(start, end)
             return end
         self.found.replace(start, repair)
-        return self.token("sign", start, end)
+        return self.add_token("sign", start, end)
 
     def odd(self, start: int, end: int, piece: str) -> int:
         if piece in DOUBLE_QUOTES or piece in SINGLE_QUOTES:
-            return self.wrong_quotes(start, piece)
+            return self.repair_quotes(start, piece)
         if piece.isspace() or unicodedata.category(piece) in ("Zs", "Cf"):
             if "blank" not in self.reported and (start > 0 or piece != "\ufeff"):
                 self.reported.add("blank")
@@ -317,36 +317,36 @@ class _Scanner:
                 self.found.error("odd-blank", f"{name} in place of a blank", start, end, "type a blank", " ")
             return self.blank(start, end, piece)
         if piece.isalnum() and piece not in "\u00b2\u00b3":
-            return self.foreign_word(start)
+            return self.repair_foreign_word(start)
         tokens = self.found.tokens
         if piece in "\u00b0\u00ba" and tokens and tokens[-1].kind == "number" and tokens[-1].end == self.last_end:
             number = tokens.pop()
             self.found.error("unknown-sign", f"`{piece}` is not a unit", start, end, "write `deg`")
             rest = _PER.match(self.characters, end)
             end = rest.end() if rest is not None else end
-            self.found.blank(start, end)
-            return max(end, self.unreadable(number.start, number.end))
+            self.found.blank_out(start, end)
+            return max(end, self.mark_unreadable(number.start, number.end))
         help, repair = WRONG_SIGNS.get(piece, ("delete it", None))
-        fix = word_instead(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
+        fix = replacement_word(help, self.characters[start - 1 : start] if start else "", self.characters[end : end + 1])
         self.found.error("unknown-sign", f"`{piece}` is not a sign of the language", start, end, help, fix)
         if repair is not None and len(repair) > 1:
-            return self.wide_sign(start, end, repair)
+            return self.repair_wide_sign(start, end, repair)
         self.found.replace(start, repair or " ")
-        return self.token("sign", start, end) if repair else end
+        return self.add_token("sign", start, end) if repair else end
 
-    def wide_sign(self, start: int, end: int, repair: str) -> int:
+    def repair_wide_sign(self, start: int, end: int, repair: str) -> int:
         """Replace a sign such as `≤` by two characters, using an adjacent blank for the second."""
         if self.characters[end : end + 1] == " ":
             end += 1
         elif start > 0 and self.found.clean[start - 1] == " ":
             start -= 1
         else:
-            self.found.blank(start, end)
+            self.found.blank_out(start, end)
             return end
         self.found.replace(start, repair)
-        return self.token("sign", start, end)
+        return self.add_token("sign", start, end)
 
-    def wrong_quotes(self, start: int, piece: str) -> int:
+    def repair_quotes(self, start: int, piece: str) -> int:
         quotes = DOUBLE_QUOTES + '"' if piece in DOUBLE_QUOTES else SINGLE_QUOTES
         line_end = self.characters.find("\n", start)
         line_end = len(self.characters) if line_end < 0 else line_end
@@ -355,7 +355,7 @@ class _Scanner:
             self.found.error(
                 "unknown-sign", f"`{piece}` is not a sign of the language", start, start + 1, 'put text in `"` quotes'
             )
-            self.found.blank(start, start + 1)
+            self.found.blank_out(start, start + 1)
             return start + 1
         self.found.error(
             "wrong-quotes",
@@ -366,30 +366,30 @@ class _Scanner:
             '"' + self.characters[start + 1 : stop].replace('"', "'") + '"',
         )
         self.found.replace(start, '"' + self.characters[start + 1 : stop].replace('"', " ") + '"')
-        return self.token("text", start, stop + 1)
+        return self.add_token("text", start, stop + 1)
 
     def text(self, start: int, end: int, piece: str) -> int:
         if len(piece) > 1 and piece.endswith('"'):
-            return self.token("text", start, end)
+            return self.add_token("text", start, end)
         smart = next((at for at in range(start + 1, end) if self.characters[at] in DOUBLE_QUOTES), -1)
         if smart > 0:
             self.found.error(
                 "wrong-quotes", f"text ends in a `{self.characters[smart]}` quote", smart, smart + 1, 'write `"`', '"'
             )
             self.found.replace(smart, '"')
-            return self.token("text", start, smart + 1)
+            return self.add_token("text", start, smart + 1)
         stop = start + len(_TAIL.sub("", piece))
         self.found.error(
             "unclosed-text", "text without a closing quote", start, start + 1, 'end the text with `"` on the same line', '"', stop
         )
         if stop - start < 2:
-            self.found.blank(start, start + 1)
+            self.found.blank_out(start, start + 1)
             return start + 1
         self.found.replace(stop - 1, '"')
-        return self.token("text", start, stop)
+        return self.add_token("text", start, stop)
 
 
-def text_before(text_scan: Scan) -> str:
+def last_token_text(text_scan: Scan) -> str:
     """The text of the token that was read last."""
     last = text_scan.tokens[-1]
     return text_scan.source.text[last.start : last.end]

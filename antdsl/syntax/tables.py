@@ -42,14 +42,14 @@ def load_parser(transformer: object) -> Lark:
     from lark import Lark
 
     stored = json.loads(resources.grammar_file(TABLES_FILE).read_text(encoding="utf-8"))
-    data, memo = stored["data"], _whole_keys(stored["memo"])
+    data, memo = stored["data"], _integer_keys(stored["memo"])
     table = data["parser"]["parser"]
-    table["tokens"] = _whole_keys(table["tokens"])
-    table["states"] = {int(state): _whole_keys(actions) for state, actions in table["states"].items()}
+    table["tokens"] = _integer_keys(table["tokens"])
+    table["states"] = {int(state): _integer_keys(actions) for state, actions in table["states"].items()}
     parser: Lark = Lark._load_from_dict(data, memo, transformer=transformer)  # type: ignore[no-untyped-call]
     return parser
 
 
-def _whole_keys(table: dict[str, Any]) -> dict[int, Any]:
+def _integer_keys(table: dict[str, Any]) -> dict[int, Any]:
     """Convert keys to integers: JSON keys are text, but lark numbers its states, tokens and rules."""
     return {int(key): value for key, value in table.items()}

@@ -44,7 +44,7 @@ def read(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Sourc
     Returns None and a report with the reason if it cannot be read. Never raises, whatever the path names."""
     report = Report()
     name = os.fspath(path)
-    data = _bytes(name, handle, report)
+    data = _read_file(name, handle, report)
     if data is None:
         return None, report
     return read_bytes(name, data)
@@ -54,7 +54,7 @@ def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
     """As reading a file, for bytes from elsewhere. `name`: their name in messages."""
     report = Report()
     if len(data) > limits.ANT_FILE_BYTES:
-        _too_large(name, report)
+        _report_too_large(name, report)
         return None, report
     for magic, kind in _OTHERS:
         if data.startswith(magic):
@@ -70,14 +70,14 @@ def _advise(kind: str) -> str:
     return "save it as UTF-8" if kind.startswith("UTF-16") else "name a text file that begins with `ant 1`"
 
 
-def _bytes(name: str, handle: int | None, report: Report) -> bytes | None:
+def _read_file(name: str, handle: int | None, report: Report) -> bytes | None:
     if "\0" in name:
         report.error("cannot-read", "file name with a zero character in it", None, "name a `.ant` file")
         return None
     try:
         return read_handle(open_regular(name) if handle is None else handle, limits.ANT_FILE_BYTES)
     except TooLarge:
-        _too_large(name, report)
+        _report_too_large(name, report)
     except NotRegular as why:
         report.error("cannot-read", f"`{name}` is {why.kind}", None, "name a `.ant` file")
     except OSError as error:
@@ -86,7 +86,7 @@ def _bytes(name: str, handle: int | None, report: Report) -> bytes | None:
     return None
 
 
-def _too_large(name: str, report: Report) -> None:
+def _report_too_large(name: str, report: Report) -> None:
     most = limits.ANT_FILE_BYTES // limits.KIB
     help = 'split it, and bring the parts in with `use "./part.ant" as part`'
     report.error("file-too-large", f"`{name}` is larger than {most} KiB", None, help)

@@ -21,7 +21,7 @@ from antdsl.bench.cases import case_of
 from antdsl.bench.counting import SETTLED, count_step, counts_of
 from antdsl.machine_code.kernels import sources
 from antdsl.runtime import Options, World, bind, phases, state_hash, step
-from antdsl.senses.overlaps import worst
+from antdsl.senses.overlaps import fill_worst_overlaps
 
 ROOT = Path(__file__).resolve().parents[2]
 BENCHMARKS = ROOT / "tests" / "benchmarks"
@@ -68,9 +68,14 @@ def test_counting_changes_no_step_and_leaves_nothing_behind(worlds: tuple[World,
 def test_a_kernel_that_is_made_in_a_step_that_is_counted_is_the_usual_one(
     worlds: tuple[World, World], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    plain, kernels = (sources.key(worst.part, []), worst.text()), []
+    plain, kernels = (sources.key(fill_worst_overlaps.part, []), fill_worst_overlaps.text()), []
     monkeypatch.setattr(
-        phases, "PHASES", (*phases.PHASES, ("made", lambda world: kernels.append((sources.key(worst.part, []), worst.text()))))
+        phases,
+        "PHASES",
+        (
+            *phases.PHASES,
+            ("made", lambda world: kernels.append((sources.key(fill_worst_overlaps.part, []), fill_worst_overlaps.text()))),
+        ),
     )
     count_step(worlds[0])
     assert kernels == [plain] and plain[0] is not None
@@ -117,7 +122,7 @@ def test_one_more_operation_is_one_more_instruction_of_machine_code(monkeypatch:
     from antdsl.runtime.backends.native import listing
 
     def counts() -> dict[str, int]:
-        return listing.counts(listing.of_plan(case_of("node").make(60).plan, machine.ANY))
+        return listing.instruction_counts(listing.plan_program(case_of("node").make(60).plan, machine.ANY))
 
     plain_counts, plain = counts(), LaneBuilder.widened
     insertions: list[bool] = []

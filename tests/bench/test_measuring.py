@@ -17,22 +17,22 @@ from compilers import need_llvmlite, need_numba
 
 from antdsl import resources
 from antdsl.bench import CASES, Job
-from antdsl.bench.cases import NoCase, case_of, opened
-from antdsl.bench.costs import BOUND, Failed, Measured, measured
-from antdsl.bench.measuring import hand_written, measure
+from antdsl.bench.cases import CaseError, case_of, open_shot
+from antdsl.bench.costs import BOUND, Measurement, MeasuringError, measure_in_process
+from antdsl.bench.measuring import make_hand_written_frame, measure
 from antdsl.bench.programs import BOIDS, NODE
 from antdsl.bench.tables import (
     COLUMNS,
     Result,
     as_json,
-    between,
+    compare_backends,
+    describe_machine,
     describe_result,
     from_json,
     list_messages,
-    machine,
     phases,
     ratio_text,
-    whole_step,
+    step_rows,
 )
 from antdsl.cli.printing.bench_tables import show
 from antdsl.machine_code import machine as native_machine
@@ -65,7 +65,7 @@ def test_the_valley_of_meshes_is_the_valley_without_its_volume() -> None:
     assert set(with_volume.solids) == {"hill"} and not without.solids
     assert set(without.surfaces) == set(with_volume.surfaces) | {"hill"}
     assert np.array_equal(without.surfaces["hill"].vertices, with_volume.solids["hill"].mesh.vertices)
-    with pytest.raises(NoCase, match="500 ants or 15,000, not 7"):
+    with pytest.raises(CaseError, match="500 ants or 15,000, not 7"):
         CASES["valley"].make(7)
 
 
@@ -78,11 +78,11 @@ def test_boids_see_about_as_many_as_is_said(name: str, least: float, most: float
 def test_a_scene_is_scaled_or_the_reason_is_given(tmp_path: Path) -> None:
     scene = resources.example_file("minimal/scene.yaml")
     assert sum(crowd.count for crowd in case_of(str(scene)).make(33).setting.crowds) == 33
-    with pytest.raises(NoCase, match="stand still"):
-        opened(resources.example_file("tunnel/scene.yaml"), 10)
+    with pytest.raises(CaseError, match="stand still"):
+        open_shot(resources.example_file("tunnel/scene.yaml"), 10)
     (tmp_path / "scene.yaml").write_text("antdsl: 1\n")
-    with pytest.raises(NoCase) as why:
-        opened(tmp_path / "scene.yaml", None)
+    with pytest.raises(CaseError) as why:
+        open_shot(tmp_path / "scene.yaml", None)
     assert [diagnostic.code for diagnostic in why.value.report.errors] == ["no-crowd"]
 
 
@@ -97,17 +97,17 @@ def test_costs_of_phases_add_up_to_those_of_steps() -> None:
     assert len(measurement.ratios("reference", "numpy")) == 3
     assert measurement.set_up.total > measurement.set_up.first > 0 and measurement.counts["elements"] > measurement.agents
     assert 100 * 100 < measurement.state < 100 * 1000, "an ant is some hundred bytes"
-    assert Measured.from_json(measurement.as_json()) == measurement
+    assert Measurement.from_json(measurement.as_json()) == measurement
 
 
 @pytest.mark.slow
 def test_a_full_run_costs_more_than_its_step() -> None:
-    measurement = measured(Job("node", 500, ("numpy",), turns=4, steps=8, full_run=True))
+    measurement = measure_in_process(Job("node", 500, ("numpy",), turns=4, steps=8, full_run=True))
     run = measurement.full_run
     assert run is not None and run.cpu > run.step > run.feet >= 0 and run.frames >= 8
     assert measurement.memory > measurement.state
-    with pytest.raises(Failed, match="stand still"):
-        measured(Job("tunnel", 7, ("numpy",)))
+    with pytest.raises(MeasuringError, match="stand still"):
+        measure_in_process(Job("tunnel", 7, ("numpy",)))
 
 
 def test_machine_code_is_ready_before_steps_are_measured_and_its_making_and_loading_are_reported(
@@ -136,11 +136,11 @@ def test_machine_code_is_ready_before_steps_are_measured_and_its_making_and_load
     assert [block for block in by_numpy if block in ("act", "blend")] == ["act", "blend"], "the first step, and no other"
     assert measurement.set_up.code and measurement.set_up.kept and measurement.set_up.second
     assert os.environ.get(VARIABLE) == previous_folder and list(tmp_path.iterdir()) == []
-    (row,) = whole_step(Result((measurement,)))
+    (row,) = step_rows(Result((measurement,)))
     assert "" not in row[-3:] and row[COLUMNS.index("code, CPU s")] != ""
     other = measure(Job("node", 60, ("numpy",), turns=1, steps=1))
     assert (other.set_up.code, other.set_up.kept) == (None, None)
-    (row,) = whole_step(Result((other,)))
+    (row,) = step_rows(Result((other,)))
     assert row[-3:-1] == ["", ""]
 
 
@@ -161,12 +161,12 @@ def test_missing_machine_code_is_reported_with_the_times(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     coming: Future[None] = Future()
-    coming.set_exception(ready.Unavailable("llvmlite is not there: install it"))
-    monkeypatch.setattr("antdsl.runtime.backends.native.backend.beside", lambda *_: coming)
+    coming.set_exception(ready.CodeUnavailable("llvmlite is not there: install it"))
+    monkeypatch.setattr("antdsl.runtime.backends.native.backend.start_building", lambda *_: coming)
     measurement = measure(Job("node", 1, ("native", "numpy"), turns=1, steps=1))
     (line,) = list_messages(Result((measurement,)))
     assert line.startswith("native: NumPy runs instead of machine code") and line.endswith("llvmlite is not there: install it")
-    assert Measured.from_json(json.loads(json.dumps(measurement.as_json()))) == measurement
+    assert Measurement.from_json(json.loads(json.dumps(measurement.as_json()))) == measurement
     show(Result((measurement,), measurement))
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("node, 1 agent; ") and printed[1] == line
@@ -179,8 +179,8 @@ def test_words_of_what_was_measured() -> None:
     slower = replace(cost, cpu=[2 * each for each in cost.cpu])
     together = replace(one, job=replace(one.job, backends=("numpy", "other")), costs={"numpy": cost, "other": slower})
     result = Result((replace(one, costs={"numpy": cost, BOUND: slower}),), together)
-    assert between(result) == ["other: 2.000 (2.000 to 2.000) of the CPU time of numpy, in turn in one process"]
-    (row,) = whole_step(result)
+    assert compare_backends(result) == ["other: 2.000 (2.000 to 2.000) of the CPU time of numpy, in turn in one process"]
+    (row,) = step_rows(result)
     cells = dict(zip(COLUMNS, row, strict=True))
     assert row[0] == "numpy" and cells["bare step, CPU ms"] == f"{cost.cpu_ms:.2f}"
     assert cells["of the bound"] == "0.500 (0.500 to 0.500)" and cells["run, CPU ms"] == ""
@@ -190,7 +190,7 @@ def test_words_of_what_was_measured() -> None:
     assert ratio_text([1.0, 2.0]) == "1.50 (2 turns)"
     (again,) = from_json(as_json([result]))
     assert again == result
-    assert {"date", "machine", "numpy", "antdsl"} <= set(machine())
+    assert {"date", "machine", "numpy", "antdsl"} <= set(describe_machine())
 
 
 def test_the_hand_written_frame_does_all_its_work(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -210,14 +210,14 @@ def test_the_hand_written_frame_does_all_its_work(monkeypatch: pytest.MonkeyPatc
     assert np.abs(ants.y - height).max() < 0.5, "they keep to the ground"
     reach = (np.hypot(ants.x[:, None] - ants.x, ants.z[:, None] - ants.z) < ants.radius).sum(axis=1) - 1
     assert 5 < reach.mean() < 11
-    hand_written(50)()
+    make_hand_written_frame(50)()
     assert "bound" in sys.modules
 
 
 def test_without_a_checkout_there_is_no_hand_written_frame(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("antdsl.bench.measuring.benchmark_file", lambda name: None)
     with pytest.raises(FileNotFoundError, match="checkout"):
-        hand_written(10)
+        make_hand_written_frame(10)
 
 
 def test_what_the_cases_need_ships() -> None:

@@ -13,8 +13,8 @@ import pytest
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 from pairs import Cost, main, once
 
-from antdsl.bench.ratios import Ratio, in_turn, interval
-from antdsl.bench.scaling import gathered, scaled
+from antdsl.bench.ratios import Ratio, bootstrap_interval, measure_in_turn
+from antdsl.bench.scaling import gather_crowds, scale_setting
 from antdsl.pipeline import open_scene
 from antdsl.runtime import bind
 
@@ -23,11 +23,11 @@ EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
 def test_the_interval_holds_the_mean_and_grows_with_the_spread() -> None:
     draw = np.random.default_rng(4)
-    narrow, wide = (interval((1.1 + spread * draw.normal(size=20)).tolist()) for spread in (0.01, 0.1))
+    narrow, wide = (bootstrap_interval((1.1 + spread * draw.normal(size=20)).tolist()) for spread in (0.01, 0.1))
     for estimate in (narrow, wide):
         assert estimate.low < estimate.mean < estimate.high
     assert narrow.high - narrow.low < 0.02 < wide.high - wide.low
-    assert interval([1.0] * 20) == interval([1.0] * 5)
+    assert bootstrap_interval([1.0] * 20) == bootstrap_interval([1.0] * 5)
 
 
 def noisy(slower: float, seed: int) -> Ratio:
@@ -44,16 +44,16 @@ def noisy(slower: float, seed: int) -> Ratio:
         order.append(tree)
         return noise * (slower if tree else 1.0) * float(draw.uniform(1.0, 1.1)) * (1.5 if draw.random() < 0.05 else 1.0)
 
-    quotients = [this / other for other, this in in_turn(measure, 2, 20)]
+    quotients = [this / other for other, this in measure_in_turn(measure, 2, 20)]
     assert order.count(0) == order.count(1) == 21 and order[2:6] == [1, 0, 0, 1]
-    return interval(quotients)
+    return bootstrap_interval(quotients)
 
 
 @pytest.mark.parametrize("machines", [8, pytest.param(100, marks=pytest.mark.slow)])
 def test_what_takes_a_third_longer_is_caught_and_what_is_equal_is_not(machines: int) -> None:
     """All machines see 1.3 times as slower than 1.05, and as many as 95 % promises let what is equal pass."""
-    assert all(noisy(1.3, seed).above(1.05) for seed in range(machines))
-    assert sum(noisy(1.0, seed).above(1.05) for seed in range(machines)) <= machines // 20
+    assert all(noisy(1.3, seed).is_above(1.05) for seed in range(machines))
+    assert sum(noisy(1.0, seed).is_above(1.05) for seed in range(machines)) <= machines // 20
 
 
 @pytest.mark.slow
@@ -67,21 +67,21 @@ def test_a_step_made_longer_by_a_third_is_caught() -> None:
             np.sort(work)
         return time.process_time() - started
 
-    costs = in_turn(cost, 3, 40)
-    assert interval([slow / plain for plain, slow, _ in costs]).above(1.05)
-    assert not interval([same / plain for plain, _, same in costs]).above(1.2)
+    costs = measure_in_turn(cost, 3, 40)
+    assert bootstrap_interval([slow / plain for plain, slow, _ in costs]).is_above(1.05)
+    assert not bootstrap_interval([same / plain for plain, _, same in costs]).is_above(1.2)
 
 
 def test_three_take_turns_and_each_is_first_as_often() -> None:
     order: list[int] = []
-    turns = in_turn(lambda runner: order.append(runner) or runner, 3, 6, warm=0)
+    turns = measure_in_turn(lambda runner: order.append(runner) or runner, 3, 6, warm=0)
     assert turns == [(0, 1, 2)] * 6
     assert [order[0], order[3], order[6]] == [1, 2, 0] and all(sorted(order[k : k + 3]) == [0, 1, 2] for k in range(0, 18, 3))
 
 
 def test_nothing_has_no_interval() -> None:
     with pytest.raises(ValueError, match="no ratios"):
-        interval([])
+        bootstrap_interval([])
 
 
 def test_the_script_leaves_with_words_where_a_tree_is_slower(
@@ -102,7 +102,7 @@ def test_the_script_leaves_with_words_where_a_tree_is_slower(
 def test_a_scaled_crowd_stands_as_densely(agents: int) -> None:
     shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
     assert shot is not None
-    world = bind(shot.plan, scaled(shot.setting, agents))
+    world = bind(shot.plan, scale_setting(shot.setting, agents))
     place, by = world.populations["forager"].position, np.sqrt(agents / 500)
     assert len(place) == agents and world.crowded == []
     reach = np.percentile(np.hypot(place[:, 0], place[:, 2]), 95)
@@ -115,7 +115,7 @@ def test_however_a_crowd_of_parts_is_scaled_the_total_is_the_requested_one(agent
     shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
     assert shot is not None
     crowd = replace(shot.setting.crowds[0], count=1)
-    scaled_setting = scaled(replace(shot.setting, crowds=(crowd,) * 5), agents)
+    scaled_setting = scale_setting(replace(shot.setting, crowds=(crowd,) * 5), agents)
     assert [each.count for each in scaled_setting.crowds] == counts
 
 
@@ -123,7 +123,7 @@ def test_what_cannot_be_scaled_is_refused() -> None:
     shot, _ = open_scene(EXAMPLES / "tunnel" / "scene.yaml")
     assert shot is not None
     with pytest.raises(ValueError, match="stand still"):
-        scaled(shot.setting, 10)
+        scale_setting(shot.setting, 10)
 
 
 def test_costs_are_of_processor_time() -> None:
@@ -134,6 +134,6 @@ def test_costs_are_of_processor_time() -> None:
 def test_a_crowd_that_is_gathered_keeps_its_ground() -> None:
     shot, _ = open_scene(EXAMPLES / "flocking" / "scene.yaml")
     assert shot is not None
-    narrow = gathered(scaled(shot.setting, 100), 0.5)
+    narrow = gather_crowds(scale_setting(shot.setting, 100), 0.5)
     assert narrow.crowds[0].place.radius == pytest.approx(150 * np.sqrt(100 / 400) * np.sqrt(0.5))
     assert np.ptp(narrow.surfaces["ground"].vertices[:, 0]) == pytest.approx(500)

@@ -47,7 +47,7 @@ def shot_of(case: str, agents: int | None) -> tuple[Any, Any]:
         texts = of_this_tree("programs")
         with tempfile.TemporaryDirectory() as folder:
             count = agents or 15_000
-            Path(folder, "scene.yaml").write_text(texts.plane_scene("boid", count, texts.seen_radius(count)))
+            Path(folder, "scene.yaml").write_text(texts.plane_scene("boid", count, texts.disc_radius(count)))
             Path(folder, "boid.ant").write_text(texts.BOIDS)
             shot, report = open_scene(Path(folder, "scene.yaml"))
         agents = None
@@ -81,7 +81,7 @@ def rays_timed() -> list[float]:
     with suppress(ImportError):  # an older tree has NumPy only
         from antdsl.runtime.backends.native import tables
 
-        tables.clearance = timed(tables.clearance)  # who may hit is asked before, not in the sense itself
+        tables.cached_clearance = timed(tables.cached_clearance)  # who may hit is asked before, not in the sense itself
     return spent
 
 
@@ -154,7 +154,7 @@ def main() -> None:
     words += [] if options.agents is None else ["--agents", str(options.agents)]
     trees = (options.other.resolve(), ROOT, ROOT)
     children = [started(tree, [*words, "--backend", variant]) for tree, (_, variant) in zip(trees, VARIANTS, strict=True)]
-    turns = ratios.in_turn(partial(turn, children), len(VARIANTS), options.pairs)
+    turns = ratios.measure_in_turn(partial(turn, children), len(VARIANTS), options.pairs)
     for child in children:
         child.kill()
     print(f"{options.case}, {options.agents or 'its own'} agents, {options.pairs} turns of {options.steps} steps; CPU ms a step")

@@ -33,7 +33,7 @@ def counted(cases: Sequence[str] = ()) -> Counts:
     from antdsl.runtime.backends import BACKENDS
 
     left_out = {"reference"}  # nobody waits for the definition's speed
-    if not machine.available():
+    if not machine.is_available():
         left_out.add("native")  # which would run what NumPy runs
     counts_by_case = {}
     for name, agents in ((name, agents) for name, agents in COUNTED if not cases or name in cases):

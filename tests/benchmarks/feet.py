@@ -18,7 +18,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import stick_bodies
 
-from antdsl.bodies.agents.leg_chains import legs_of
+from antdsl.bodies.agents.leg_chains import legs_data
 from antdsl.bodies.files.reading import read_definition
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.feet.state import NOTHING
@@ -41,13 +41,13 @@ def row(ground: str, legs: int, speed: float) -> str:
         previous_feet = deepcopy(world.feet["walker"])
         step(world)
         feet = world.feet["walker"]
-        both, moved = previous_feet.down & feet.down, feet.shown - previous_feet.shown
+        both, moved = previous_feet.is_standing & feet.is_standing, feet.shown - previous_feet.shown
         slid = max(slid, float(np.sqrt((moved * moved).sum(axis=0))[both].max(initial=0)))
-        away = world.ground.nearest(np.ascontiguousarray(feet.shown[:, feet.down].T))[1]
+        away = world.ground.nearest(np.ascontiguousarray(feet.shown[:, feet.is_standing].T))[1]
         off, far = max(off, float(away.max())), far + int((away > 1e-3 * leg).sum())
-        standing, hung = standing + int(feet.down.sum()), hung + int(((feet.on == NOTHING) & (feet.swing >= 1)).sum())
-        lifted += int((previous_feet.down & ~feet.down).sum())
-        turned = ((feet.phase - previous_feet.phase) % 1.0)[~previous_feet.down.all(axis=1)]
+        standing, hung = standing + int(feet.is_standing.sum()), hung + int(((feet.on == NOTHING) & (feet.swing >= 1)).sum())
+        lifted += int((previous_feet.is_standing & ~feet.is_standing).sum())
+        turned = ((feet.phase - previous_feet.phase) % 1.0)[~previous_feet.is_standing.all(axis=1)]
         cycles = max(cycles, float(turned.max(initial=0)))
     share = 100 * hung / (standing + hung)
     cells = (ground, legs, f"{standing:,}", f"{lifted:,}", f"{slid / leg:.0e}", f"{off / leg:.0e}", far, f"{share:.2f} %")
@@ -61,7 +61,7 @@ def cost(count: int) -> str:
         body, _ = read_definition(stick_bodies.write_body(Path(folder), 6))
     assert body is not None
     setting = foraging_shots.setting(count=count, radius=70 * (count / 500) ** 0.5)
-    setting = replace(setting, legs={"forager": legs_of(body)}, contacts="off")
+    setting = replace(setting, legs={"forager": legs_data(body)}, contacts="off")
     world = bind(foraging_shots.shot().plan, setting, Options(backend="numpy", feet=True))
     for _ in range(12):
         step(world)

@@ -17,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import median
 
-from antdsl.bench.ratios import in_turn, interval
+from antdsl.bench.ratios import bootstrap_interval, measure_in_turn
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -50,7 +50,7 @@ def main() -> None:
     options = parser.parse_args()
     other = options.other.resolve()
     variants = [(tree, threads) for tree in dict.fromkeys((other, ROOT)) for threads in options.threads]
-    turns = in_turn(
+    turns = measure_in_turn(
         lambda k: frame_cost(variants[k][0], options.scene, options.frames, variants[k][1]), len(variants), options.pairs, warm=0
     )
     for k, (tree, threads) in enumerate(variants):
@@ -59,7 +59,7 @@ def main() -> None:
             f"{tree.name}, {threads} thread(s): {1000 * cpu:.1f} ms CPU and {1000 * wall:.1f} ms wall a frame; {total:.2f} s CPU"
         )
         if k:
-            ratios = (interval([turn[k][part] / turn[0][part] for turn in turns]) for part in range(2))
+            ratios = (bootstrap_interval([turn[k][part] / turn[0][part] for turn in turns]) for part in range(2))
             line += "; CPU and wall over the first: " + ", ".join(map(str, ratios))
         print(line)
 

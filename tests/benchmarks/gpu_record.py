@@ -18,7 +18,7 @@ import numpy as np
 from gpu_replay import CALLS
 
 from antdsl.bench.cases import case_of
-from antdsl.bench.measuring import with_code
+from antdsl.bench.measuring import wait_for_code
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels import calling
 from antdsl.machine_code.kernels.direct_text import REAL
@@ -116,12 +116,12 @@ def laid_out(
 ) -> tuple[np.ndarray, list[tuple[int, int, int]]]:
     """The table of words that a call reads, but for addresses, and of these: the word, the piece of memory, and how far in it."""
     parameters = [each for each in calling._argument_specs(kernel._types(), ()) if each.count is None]
-    words, slots = np.zeros(calling.RESULTS + sum(calling._words(each) for each in parameters), np.uint64), []
+    words, slots = np.zeros(calling.RESULTS + sum(calling._word_count(each) for each in parameters), np.uint64), []
     for each, value in zip(parameters, leaves(arguments), strict=True):
         if each.dtype is None:
             words[each.place] = word_of(float(value) if each.kind == REAL else int(value))
             continue
-        address, *rest = calling._described(name, each, value)
+        address, *rest = calling._describe_array(name, each, value)
         words[each.place + 1 : each.place + 1 + len(rest)] = rest
         number = next((k for k, piece in enumerate(pieces) if address in piece), None)
         if number is not None:
@@ -164,7 +164,7 @@ def record(folder: Path, case: str, agents: int, part: int) -> None:
     world = bind(shot.plan, shot.setting, Options(backend="native", threads=1))
     for _ in range(WARM):
         step(world)
-    with_code(world)
+    wait_for_code(world)
     folder.mkdir(parents=True, exist_ok=True)
     recorder = Recorder(folder, part)
     original_call = Kernel.__call__

@@ -15,18 +15,18 @@ from typing import Any
 
 import peers
 
-from antdsl.bench import CASES, Job, measured
+from antdsl.bench import CASES, Job, measure_in_process
 from antdsl.bench.costs import BOUND
 from antdsl.bench.tables import (
     SET_UP,
     Result,
     as_json,
     backend_of,
-    between,
+    compare_backends,
     from_json,
     full_run_of,
     list_messages,
-    markdown,
+    markdown_table,
     phases,
     ratio_text,
     set_up_of,
@@ -49,9 +49,9 @@ def measure(name: str, agents: int | None) -> dict[str, Any]:
     slow = [SLOWEST] if (name, agents) in BESIDE_SLOWEST else []
     turns, steps = (3, 1) if big else (20, 0)
     bound, full_run = CASES[name].bound, not big
-    alone = [measured(Job(name, agents, (each,), turns, steps, 1, bound, full_run)) for each in fast]
-    alone += [measured(Job(name, agents, (each,), 3, 1, 1, bound)) for each in slow]
-    together = measured(Job(name, agents, tuple(fast), turns, steps)) if len(fast) > 1 else None
+    alone = [measure_in_process(Job(name, agents, (each,), turns, steps, 1, bound, full_run)) for each in fast]
+    alone += [measure_in_process(Job(name, agents, (each,), 3, 1, 1, bound)) for each in slow]
+    together = measure_in_process(Job(name, agents, tuple(fast), turns, steps)) if len(fast) > 1 else None
     result = Result(tuple(alone), together)
     if lines := list_messages(result):
         raise SystemExit("\n".join(lines))
@@ -83,7 +83,7 @@ def steps_table(all_results: Iterable[Result]) -> str:
                 f"{1000 * cost.cpu_ms / each.agents:.2f}",
                 ratio_text(each.ratios(name, BOUND)) if BOUND in each.costs else "",
             ])  # fmt: skip
-    return markdown(columns, rows)
+    return markdown_table(columns, rows)
 
 
 def runs_table(all_results: Iterable[Result]) -> str:
@@ -95,7 +95,7 @@ def runs_table(all_results: Iterable[Result]) -> str:
             if each.full_run is not None:
                 name = backend_of(each)
                 rows.append([each.job.case, f"{each.agents:,}", name, *full_run_of(each), f"{each.costs[name].cpu_ms:.2f}"])
-    return markdown(columns, rows)
+    return markdown_table(columns, rows)
 
 
 def set_up_table(all_results: Iterable[Result]) -> str:
@@ -112,7 +112,7 @@ def set_up_table(all_results: Iterable[Result]) -> str:
                 f"{each.state / each.agents:,.0f}",
                 f"{each.memory / 2**20:,.0f}",
             ])  # fmt: skip
-    return markdown(columns, rows)
+    return markdown_table(columns, rows)
 
 
 def phase_tables(all_results: Iterable[Result]) -> str:
@@ -123,7 +123,9 @@ def phase_tables(all_results: Iterable[Result]) -> str:
             columns, rows = phases(result)
             total = sum(float(row[1]) for row in rows)
             display_rows = [row for row in rows if float(row[1]) >= 0.01 * total]
-            parts.append(f"{result.alone[0].job.case}, {result.alone[0].agents:,} agents:\n\n{markdown(columns, display_rows)}")
+            parts.append(
+                f"{result.alone[0].job.case}, {result.alone[0].agents:,} agents:\n\n{markdown_table(columns, display_rows)}"
+            )
     return "\n".join(parts)
 
 
@@ -142,7 +144,7 @@ def comparison_table(all_results: Iterable[Result]) -> str:
                     full_run_of(each)[2],
                     CASES[each.job.case].published_figures,
                 ])  # fmt: skip
-    return markdown(("case", "agents", "backend", "frames a second", "of a full run", "reported"), rows)
+    return markdown_table(("case", "agents", "backend", "frames a second", "of a full run", "reported"), rows)
 
 
 def operations_table(all_results: Iterable[Result]) -> str:
@@ -152,12 +154,16 @@ def operations_table(all_results: Iterable[Result]) -> str:
         each = result.alone[0]
         if "elements" in each.counts and each.agents <= 15_000:
             rows.append([each.job.case, f"{each.agents:,}", f"{each.nodes:,}", f"{each.counts['elements'] / each.agents:,.0f}"])
-    return markdown(("case", "agents", "nodes of the plan", "operations per agent and step"), rows)
+    return markdown_table(("case", "agents", "nodes of the plan", "operations per agent and step"), rows)
 
 
 def beside_table(all_results: Iterable[Result]) -> str:
     """Ratios of backends that took turns in one process."""
-    lines = [f"- {one.alone[0].job.case}, {one.alone[0].agents:,} agents: {line}" for one in all_results for line in between(one)]
+    lines = [
+        f"- {one.alone[0].job.case}, {one.alone[0].agents:,} agents: {line}"
+        for one in all_results
+        for line in compare_backends(one)
+    ]
     return "\n".join(lines) + "\n" if lines else "Only one backend was measured.\n"
 
 
@@ -195,7 +201,7 @@ def write(measurements: Measurements) -> None:
         "operations": operations_table(all_results),
     }
     if "peers" in measurements:
-        tables["peers"] = markdown(peers.COLUMNS, measurements["peers"]["rows"])
+        tables["peers"] = markdown_table(peers.COLUMNS, measurements["peers"]["rows"])
     for name, table in tables.items():
         text = put(text, name, table)
     PAGE.write_text(text, encoding="utf-8")

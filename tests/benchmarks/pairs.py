@@ -92,7 +92,7 @@ def main() -> None:
     trees, slower = (options.other.resolve(), ROOT), []
     for scene in options.scenes:
         measure = partial(in_tree, scene=scene, steps=options.steps, agents=options.agents)
-        turns = ratios.in_turn(lambda tree, measure=measure: measure(trees[tree]), 2, options.pairs)
+        turns = ratios.measure_in_turn(lambda tree, measure=measure: measure(trees[tree]), 2, options.pairs)
         steps = ratios.interval([this.step / other.step for other, this in turns])
         setups = ratios.interval([this.setup / other.setup for other, this in turns])
         milliseconds = 1000 * mean(this.step for _, this in turns)

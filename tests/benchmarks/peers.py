@@ -25,7 +25,7 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from antdsl.bench.tables import machine, markdown, ratio_text
+from antdsl.bench.tables import describe_machine, markdown_table, ratio_text
 
 PEERS_FOLDER = Path(__file__).parent / "peers"
 ROOT = Path(__file__).resolve().parents[2]
@@ -223,9 +223,9 @@ def main() -> None:
     options = parser.parse_args()
     installations = Installations(options.target.resolve(), options.python, options.mason)
     table_rows = rows(installations, options.peers or names, options.backend, options.turns, options.agents or SIZES)
-    print(markdown(COLUMNS, table_rows), end="")
+    print(markdown_table(COLUMNS, table_rows), end="")
     if options.json is not None:
-        options.json.write_text(json.dumps({"machine": machine(), "rows": table_rows}) + "\n", encoding="utf-8")
+        options.json.write_text(json.dumps({"machine": describe_machine(), "rows": table_rows}) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

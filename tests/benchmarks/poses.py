@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from antdsl.bench.ratios import LEAST_PAIRS, in_turn, interval
+from antdsl.bench.ratios import LEAST_PAIRS, bootstrap_interval, measure_in_turn
 from antdsl.bodies.agents.blending import ClipTree, Playing, posed
 from antdsl.bodies.agents.definition import Binding, Capture, Clip, Definition, Rig, Shape
 from antdsl.bodies.agents.deformers import DEFORMERS, bound
@@ -230,9 +230,9 @@ def measure(agents: int, scales: bool, turns: int) -> None:
     for name, work in rows:
         clock, processor = milliseconds(work, turns)
         print(f"  {name:18} {clock:7.1f} by the clock {processor:7.1f} of processors")
-    costs = in_turn(cost, len(runners), turns)
+    costs = measure_in_turn(cost, len(runners), turns)
     for number, name in ((1, "by arrays"), (2, "by loops")):
-        print(f"  ratio to {name}: {interval([each[0] / each[number] for each in costs])}")
+        print(f"  ratio to {name}: {bootstrap_interval([each[0] / each[number] for each in costs])}")
 
 
 def shapes(agents: int) -> None:

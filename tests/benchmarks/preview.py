@@ -19,7 +19,7 @@ from previewed import ROOT, joined, read, until
 from antdsl.preview.live import Live
 from antdsl.preview.serving.addresses import listen
 from antdsl.preview.serving.guard import Guard
-from antdsl.preview.serving.pages import pages
+from antdsl.preview.serving.pages import load_pages
 from antdsl.preview.serving.server import Server
 from antdsl.runtime import Options
 
@@ -101,7 +101,7 @@ async def measured(scene: Path, threads: int, turns: int, seconds: float) -> tup
     listening = listen(None, 0)
     guard = Guard(listening.names)
     alone, watched, frame_counts = [], [], []
-    async with Server(live, guard, pages(), listening).running():
+    async with Server(live, guard, load_pages(), listening).running():
         live.session.playing, live.speed = True, 0.0
         live.start()
         reader = Reader(f"{listening.addresses[0]}#{guard.token}")

@@ -85,7 +85,7 @@ class Refreshes:
 
 def searched(place: Floats, sight: float) -> Pairs:
     """The same by a grid of cells, made anew, each pair from both sides."""
-    return CellGrid(*place, np.arange(place.shape[1]), sight).pairs(None, sight)
+    return CellGrid(*place, np.arange(place.shape[1]), sight).find_pairs(None, sight)
 
 
 def walked(scene: str, frames: int) -> list[Floats]:

@@ -29,14 +29,14 @@ WARM, SECONDS, FEWEST, MOST = 11, 3.0, 5, 80  # steps before, and those that are
 def of_one(agents: int) -> dict[str, float]:
     """Median CPU ms of a step of a crowd, by phase and `step`."""
     from antdsl.bench.cases import case_of
-    from antdsl.bench.measuring import with_code
+    from antdsl.bench.measuring import wait_for_code
     from antdsl.runtime import Options, bind, step
 
     shot = case_of("foraging").make(agents)
     world = bind(shot.plan, shot.setting, Options(backend="native", threads=1))
     for _ in range(WARM - 2):
         step(world)
-    with_code(world)
+    wait_for_code(world)
     step(world)
     step(world)
     began, steps = time.process_time(), []
@@ -72,7 +72,7 @@ def predicted(fitted: dict[str, tuple[float, float, float]], agents: int) -> flo
 
 def tables(costs_by_size: dict[int, dict[str, float]]) -> dict[str, str]:
     """The tables of the page by their marks."""
-    from antdsl.bench.tables import markdown
+    from antdsl.bench.tables import markdown_table
 
     fitted = terms(costs_by_size)
     by_phase = [[name, *(f"{costs_by_size[size][name]:#.3g}".rstrip(".") for size in TABLE_SIZES)] for name in (*PHASES, REST)]
@@ -82,9 +82,9 @@ def tables(costs_by_size: dict[int, dict[str, float]]) -> dict[str, str]:
         step, said = round(spent["step"], 2), round(predicted(fitted, size), 2)  # as they are shown
         model.append([f"{size:,}", f"{said:.2f}", f"{step:.2f}", f"{said / step:.2f}"])
     return {
-        "phases": markdown(("phase", *(f"{size:,}" for size in TABLE_SIZES)), by_phase),
-        "terms": markdown(("phase", "fixed, ms", "root, µs", "each, ns"), of_terms),
-        "model": markdown(("agents", "predicted, ms", "measured, ms", "predicted / measured"), model),
+        "phases": markdown_table(("phase", *(f"{size:,}" for size in TABLE_SIZES)), by_phase),
+        "terms": markdown_table(("phase", "fixed, ms", "root, µs", "each, ns"), of_terms),
+        "model": markdown_table(("agents", "predicted, ms", "measured, ms", "predicted / measured"), model),
     }
 
 

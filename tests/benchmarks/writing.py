@@ -27,8 +27,8 @@ from statistics import fmean
 import numpy as np
 
 from antdsl.bench.cases import CASES, case_of
-from antdsl.bench.measuring import with_code
-from antdsl.bench.ratios import in_turn, interval
+from antdsl.bench.measuring import wait_for_code
+from antdsl.bench.ratios import bootstrap_interval, measure_in_turn
 from antdsl.outputs.cache.cache_reader import frame_path
 from antdsl.outputs.cache.hashes import HASHES
 from antdsl.outputs.recording import Recording, begin, record
@@ -81,7 +81,7 @@ def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None
         for stepper, world in zip(steppers, worlds, strict=True):
             for _ in range(WARM):
                 next(stepper)
-            with_code(world)
+            wait_for_code(world)
         wait_for(folder, worlds[1].frame)
         size = 0 if as_it_is else TIMES * steps * frame_path(folder, worlds[1].frame).stat().st_size
 
@@ -94,7 +94,7 @@ def measured(case: str, agents: int, steps: int, rounds: int, place: Path | None
                 wait_for(folder, frame)
             return (time.process_time() - began) / steps
 
-        turns = in_turn(turn, 2, rounds)
+        turns = measure_in_turn(turn, 2, rounds)
         recording.stop = True
         for _ in steppers[1]:
             pass
@@ -113,7 +113,7 @@ def main() -> None:
     for agents in options.agents:
         turns = measured(options.case, agents, options.steps, options.rounds, options.folder, as_it_is=options.memory_as_it_is)
         plain, written = (1000 * fmean(turn[k] for turn in turns) for k in (0, 1))
-        ratio = interval([with_cache / without for without, with_cache in turns])
+        ratio = bootstrap_interval([with_cache / without for without, with_cache in turns])
         print(
             f"{options.case}, {agents:,} agents: a step {plain:.2f} ms, with its frame written {written:.2f}, "
             f"{written - plain:.2f} more; ratio {ratio}",

@@ -9,9 +9,9 @@ import trimesh
 
 from antdsl.bodies.body import orientation, turned
 from antdsl.bodies.library import library_body
-from antdsl.bodies.shapes import PLACED, placed, shape_of
+from antdsl.bodies.shapes import PLACED, item_shape, placed
 from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
-from antdsl.scene.library_bodies import BODY_WORDS, CAPSULES, body_of
+from antdsl.scene.library_bodies import BODY_WORDS, CAPSULES, body_for_species
 
 TRUNK = ("root", "thorax", "head", "petiole", "gaster", "gaster_tip")
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -46,9 +46,9 @@ def test_placed_shapes_face_outwards_with_colours(shape):
 
 
 def test_names_choose_bodies_and_shapes():
-    assert [body_of(name) for name in ("forager", "person", "boids", "hunter")] == ["ant", "person", "arrow", "hunter"]
+    assert [body_for_species(name) for name in ("forager", "person", "boids", "hunter")] == ["ant", "person", "arrow", "hunter"]
     names = (("food", "apple"), ("food", "donut"), ("nest", "home"), ("food", "a"), ("food", "sugar_lump"), ("exits", "east"))
-    assert [shape_of(*each) for each in names] == ["apple", "ring", "mound", "crumb", "cube", "sphere"]
+    assert [item_shape(*each) for each in names] == ["apple", "ring", "mound", "crumb", "cube", "sphere"]
 
 
 def test_orientation_turns_x_to_the_heading_and_y_to_up():

@@ -11,7 +11,7 @@ import pytest
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, Channel, Rig, TransformGroup
-from antdsl.bodies.files.definition_parts import Typed, read_metadata
+from antdsl.bodies.files.definition_parts import TypedValue, read_metadata
 from antdsl.bodies.files.documents import (
     read_group,
     read_layer,
@@ -99,9 +99,9 @@ def test_layers_groups_and_metadata_say_what_the_text_says() -> None:
     assert layer is not None and layer.static == (Binding("finger", "ring"),)
     assert layer.deforming == (Binding("", "glove", (1.0, 1.5, 1.0), "linearskinning"),)
     assert group == TransformGroup("fingers", (("thumb", 0.25), ("finger", 1.0)), ("frown",))
-    assert metadata is not None and metadata["version"] == Typed("int", 2) and metadata["parts"] == [1, 2.5, "three"]
+    assert metadata is not None and metadata["version"] == TypedValue("int", 2) and metadata["parts"] == [1, 2.5, "three"]
     assert type(metadata["parts"][0]) is int
-    assert metadata["inner"] == {"type": "a key as any other", "value": 1, "more": Typed("vector3", [1, 2, 3])}
+    assert metadata["inner"] == {"type": "a key as any other", "value": 1, "more": TypedValue("vector3", [1, 2, 3])}
 
 
 def test_several_roots_are_fine() -> None:

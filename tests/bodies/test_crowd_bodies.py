@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from antdsl.bodies.agents.definition import Binding, Layer, language_names
-from antdsl.bodies.crowd_bodies import clip_data, room_of
+from antdsl.bodies.crowd_bodies import body_room, clip_data
 from antdsl.bodies.files import reading
 from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.library import library_body
@@ -80,7 +80,7 @@ def test_a_run_goes_by_the_clips_of_the_body(folder: Path) -> None:
 def test_a_body_takes_the_room_of_its_box(folder: Path) -> None:
     body, _ = read_definition(folder / "walker.json")
     assert body is not None
-    extent = room_of(body)
+    extent = body_room(body)
     # some 0.5 m wide at the shoulders, and less deep; the middle below half its height
     assert extent.width == pytest.approx(0.5 / 1.75, abs=0.03) and extent.length == extent.width
     assert 0.4 < extent.height < 0.55 and abs(extent.ahead) < 0.05
@@ -88,9 +88,9 @@ def test_a_body_takes_the_room_of_its_box(folder: Path) -> None:
     hatted = replace(
         body, shapes={**body.shapes, "hat": hat}, layers={**body.layers, "hat": Layer("hat", (Binding("head", "hat"),))}
     )
-    assert room_of(hatted) == extent, "what is worn takes no room"
+    assert body_room(hatted) == extent, "what is worn takes no room"
     boxed = replace(hatted, layers={**hatted.layers, "collision": Layer("collision", (Binding("head", "hat"),))})
-    assert room_of(boxed).width > 3 * extent.width, "a layer `collision` goes first"
+    assert body_room(boxed).width > 3 * extent.width, "a layer `collision` goes first"
     assert opened(written(folder)).setting.rooms == {"walker": extent}
     assert clip_data(body.clips["idle"], body).stride == 0
 
@@ -146,13 +146,13 @@ def test_lists_of_what_is_worn_say_what_to_write(folder: Path, wear: str, help: 
 
 
 def test_a_body_is_read_once_and_again_when_a_file_of_it_changes(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.scene.paths import sought
+    from antdsl.scene.paths import record_sought
 
     times = []
     monkeypatch.setattr(reading, "read_definition", lambda *arguments: times.append(arguments) or read_definition(*arguments))
     scene = written(folder)
     first = opened(scene)
-    with sought() as files:
+    with record_sought() as files:
         assert opened(scene).bodies["walker"] is first.bodies["walker"] and len(times) == 1
     assert {folder / "walker.json", folder / "parts.glb"} <= set(files)  # a preview still looks at them
     (folder / "parts.glb").write_bytes((EXAMPLE / "parts.glb").read_bytes())

@@ -11,9 +11,9 @@ import gltf_bodies
 import pytest
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import Between, Blend, Definition
+from antdsl.bodies.agents.definition import Blend, Definition, InBetweens
 from antdsl.bodies.files.clip_document import write_clip
-from antdsl.bodies.files.definition_parts import Typed
+from antdsl.bodies.files.definition_parts import TypedValue
 from antdsl.bodies.files.named_files import BodyFiles
 from antdsl.bodies.files.reading import read_definition
 from antdsl.diagnostics import Diagnostic
@@ -89,7 +89,7 @@ def test_parts_are_inside_or_in_files_of_their_own(folder: Path) -> None:
         assert (each.name, each.rig.names, each.front, each.up) == ("soldier", ("root", "hand"), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))
         assert each.unit == 10.0 and each.length == 1.0  # 10 mm along x
         assert list(each.layers) == ["armed"] and each.groups["arm"].members == (("hand", 0.5),)
-        assert each.clips["wave"].samples == 3 and each.metadata == {"a": Typed("int", 2)}
+        assert each.clips["wave"].samples == 3 and each.metadata == {"a": TypedValue("int", 2)}
         assert each.shapes["sword"].materials == ("steel",) and each.materials == {"steel": (0.5, 0.5, 0.6)}
 
 
@@ -125,7 +125,7 @@ def test_a_usd_file_is_read_once_for_shapes_and_clips(folder: Path, monkeypatch:
     arm, _ = read_definition(folder / "arm.glb")
     assert arm is not None
     calls: list[str] = []
-    monkeypatch.setattr(BodyFiles, "_usd", lambda self, full, *_: calls.append(full) or (arm, []))
+    monkeypatch.setattr(BodyFiles, "_read_usd", lambda self, full, *_: calls.append(full) or (arm, []))
     rest = [[1, 0, 0, 3], [0, 1, 0, 5], [0, 0, 1, 7], [0, 0, 0, 1]]
     rig = {"rig_version": 1, "transforms": {"root": ["elbow"], "elbow": []}, "antdsl_rest": {"elbow": rest}}
     shapes = [{"file": "arm.usda", "shape": "arm.smile", "name": "mask"}]
@@ -167,7 +167,7 @@ def test_blend_shapes_by_their_documented_attributes(folder: Path) -> None:
     body = fine(folder, rig=RIG, shapes=shapes, layers=[layer])
     assert body.shapes["head"].blend == Blend(("smile",), ("fist",), ("P",), "number", "id")
     assert body.shapes["head"].dual_quaternion_blend == "soft"
-    assert body.shapes["smile"].between == Between(("half",), (0.5,))
+    assert body.shapes["smile"].between == InBetweens(("half",), (0.5,))
     shapes[1]["blendshape_inbetweenweights"] = [1]
     assert error_of(folder, rig=RIG, shapes=shapes) == ("out-of-range", "[1]", "write `0.5`")
     shapes[1]["blendshape_inbetweenweights"] = [0.5]

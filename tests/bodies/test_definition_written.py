@@ -12,9 +12,9 @@ import pytest
 from antdsl.bodies.agents.definition import FRONT, UP, Definition
 from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.agents.other_axes import in_axes
+from antdsl.bodies.agents.other_axes import convert_axes
 from antdsl.bodies.agents.poses import clip_table
-from antdsl.bodies.files.definition_parts import Typed
+from antdsl.bodies.files.definition_parts import TypedValue
 from antdsl.bodies.files.definition_written import definition_files
 from antdsl.bodies.files.gltf_written import write_gltf
 from antdsl.bodies.files.reading import read_definition
@@ -102,7 +102,7 @@ def test_our_own_files_are_read_back_as_they_were(body: Definition, tmp_path: Pa
     assert {"copy.json", "copy/rig.json", "copy/shapes.glb", "copy/clips/bend.json", "copy/layers/collision.json"} <= set(files)
     definition = read_back(tmp_path / "there", files, "copy.json")
     same(body, definition)
-    assert definition.metadata["size"] == Typed("float", 2) and definition.clips["sheared"].shear is not None
+    assert definition.metadata["size"] == TypedValue("float", 2) and definition.clips["sheared"].shear is not None
     again = definition_files(definition, "copy")
     assert {name for name in files if again[name] != files[name]} <= {"copy/clips/bend.json"}, "angles, to the last digits"
 
@@ -114,7 +114,7 @@ def posed(body: Definition, clip: str, turns: list[float]) -> dict[str, np.ndarr
     previous_clip = np.full(n, -1, np.int16)
     machine = MachineClips(np.zeros(n, np.int16), np.array(turns, np.float32), one, previous_clip, one * 0, one * 0, one * 0)
     poses = worn.poses((machine,), n)
-    turn = body.base()[:3, :3] * body.length * body.unit / 1000
+    turn = body.base_matrix()[:3, :3] * body.length * body.unit / 1000
     return {each.transform: bound(body, each, poses).points @ turn.T for each in worn.bindings}
 
 
@@ -163,9 +163,9 @@ def test_what_gltf_lacks_is_reported_and_the_rest_is_the_same(body: Definition, 
     table = clip_table(body)
     number = [each["name"] for each in scene.tree["animations"]].index("bend")
     world, _ = scene.at(0.75, number)
-    from antdsl.bodies.agents.poses import sampled, transforms
+    from antdsl.bodies.agents.poses import sample_poses, transforms
 
-    at = transforms(table, sampled(table, np.array([table.number("bend")]), np.array([0.75])))[1][:, 3, :, 0]
+    at = transforms(table, sample_poses(table, np.array([table.number("bend")]), np.array([0.75])))[1][:, 3, :, 0]
     # +y is ahead, -x is up: what is ahead is +z there, what is up is +y, and centimetres are metres
     ahead, up = at[1], -at[0]
     order = [names.index(body.rig.names[k]) for k in table.order]
@@ -176,7 +176,7 @@ def test_what_gltf_lacks_is_reported_and_the_rest_is_the_same(body: Definition, 
 
 @pytest.mark.parametrize("word", ["ant", "ant_queen"])
 def test_bodies_of_the_library_are_written(word: str, tmp_path: Path) -> None:
-    body = in_axes(library_body(word), FRONT, UP, 1.0)  # units that files can name
+    body = convert_axes(library_body(word), FRONT, UP, 1.0)  # units that files can name
     own = read_back(tmp_path, definition_files(body, word), f"{word}.json")
     for name in ("layers", "groups", "legs", "gaits", "idle", "front", "up", "length", "unit"):
         same(getattr(body, name), getattr(own, name))

@@ -13,8 +13,8 @@ from rigs import definition, matrix, still, turn, wild
 
 from antdsl.bodies.agents import deformers
 from antdsl.bodies.agents.blending import ClipTree, Playing, posed
-from antdsl.bodies.agents.definition import Between, Binding, Blend, Capture, Channel, Definition, Shape
-from antdsl.bodies.agents.deformers import DEFORMERS, bound, register, steps
+from antdsl.bodies.agents.definition import Binding, Blend, Capture, Channel, Definition, InBetweens, Shape
+from antdsl.bodies.agents.deformers import DEFORMERS, bound, deformer_steps, register
 from antdsl.bodies.agents.poses import Poses, clip_table
 from antdsl.bodies.agents.skinning import Deformed
 
@@ -140,7 +140,7 @@ def moved(name: str, *points: tuple[float, float, float], ids: tuple[int, ...] =
 
 
 SMILE = moved("smile", (0, 1, 0), (1, 2, 0), (2, 3, 0))
-OPEN = moved("open", (2, 0, 4), (0, 0, -4), ids=(30, 10), between=Between(("ajar",), (0.25,)))
+OPEN = moved("open", (2, 0, 4), (0, 0, -4), ids=(30, 10), between=InBetweens(("ajar",), (0.25,)))
 AJAR = moved("ajar", (2, 0, 4), (0, 0, -2), ids=(30, 10))
 
 
@@ -193,7 +193,7 @@ def test_in_betweens_are_those_of_an_independent_implementation() -> None:
     query = skel.BlendShapeQuery(binding)
     library = {
         "face": Shape("face", base, FACES, blend=Blend(("one",), ("jaw",))),
-        "one": Shape("one", primary, FACES, between=Between(("high", "low"), (0.8, 0.3))),
+        "one": Shape("one", primary, FACES, between=InBetweens(("high", "low"), (0.8, 0.3))),
         "low": Shape("low", low, FACES), "high": Shape("high", high, FACES),
     }  # fmt: skip
     built = replace(definition({"head": ""}, channels=(Channel("jaw"),)), shapes=library)
@@ -231,7 +231,7 @@ def test_an_in_between_without_normals_is_passed_by_them_alone() -> None:
 
 def test_what_a_blend_shape_cannot_be_is_refused() -> None:
     for weight in (0.0, 1.0):
-        odd = replace(SMILE, name="odd", between=Between(("ajar",), (weight,)))
+        odd = replace(SMILE, name="odd", between=InBetweens(("ajar",), (weight,)))
         with pytest.raises(ValueError, match=f"has weight {weight:g}"):
             face(replace(FACE, blend=Blend(("odd",), ("smile",))), [0], [0], odd)
     for blend, why in ((Blend(("gone",), ("smile",)), "gone"), (Blend(("smile",), ("tail",)), "tail")):
@@ -295,7 +295,7 @@ def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monke
         with pytest.raises(ValueError, match="no name for a deformer"):
             register(name, swell)
     with pytest.raises(KeyError, match="no deformer `melt`; there are linearskinning"):
-        steps("blendshape+melt")
+        deformer_steps("blendshape+melt")
 
 
 def test_the_page_has_all_deformers() -> None:

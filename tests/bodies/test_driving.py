@@ -9,7 +9,7 @@ from rigs import definition, matrix
 from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.definition import TransformGroup
 from antdsl.bodies.agents.driving import with_looks
-from antdsl.bodies.agents.machine_clips import machines_playing
+from antdsl.bodies.agents.machine_clips import playing_of_machines
 from antdsl.bodies.agents.poses import clip_table
 
 JOINTS = {"root": "", "neck": "root", "head": "neck", "jaw": "head", "tail": "root"}
@@ -21,7 +21,7 @@ def turned(*members: tuple[str, float], look: np.ndarray = DIRECTION) -> dict[st
     """Of each joint how far it looks aside in degrees, and its place along x and z."""
     body = definition(JOINTS, rest=REST)
     table = clip_table(body)
-    poses = posed(table, {}, machines_playing(table, (), [], 1))
+    poses = posed(table, {}, playing_of_machines(table, (), [], 1))
     matrices = with_looks(table, poses, {"part": look}, {"part": TransformGroup("part", members)}, np.eye(3)).world[0]
     return {
         name: (float(np.degrees(np.arctan2(m[2, 0], m[0, 0]))), float(m[0, 3]), float(m[2, 3]))

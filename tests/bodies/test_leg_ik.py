@@ -12,11 +12,11 @@ from rigs import still
 
 from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.leg_chains import legs_of
+from antdsl.bodies.agents.leg_chains import legs_data
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, Legs, PlacedFeet
-from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.machine_clips import MachineClips, playing_of_machines
 from antdsl.bodies.agents.poses import Poses, clip_table
-from antdsl.bodies.body import rotation
+from antdsl.bodies.body import rotation_matrices
 from antdsl.bodies.files.reading import read_definition
 
 N = 40
@@ -31,12 +31,12 @@ def body(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactor
 
 def rest(body: Definition, count: int = N) -> Poses:
     table = clip_table(body)
-    return posed(table, body.groups, machines_playing(table, (), (), count))
+    return posed(table, body.groups, playing_of_machines(table, (), (), count))
 
 
 def feet_near(body: Definition, spread: float, seed: int = 1, **other: np.ndarray) -> FeetOfBodies:
     """Feet about where they rest, some higher and some lower, on level trunks that are a little lower than they rest."""
-    legs = legs_of(body)
+    legs = legs_data(body)
     rng = np.random.default_rng(seed)
     place = np.tile(legs.foot, (N, 1, 1)) + rng.uniform(-1, 1, (N, len(legs.foot), 3)) * spread * legs.length[:, None]
     place[..., 1] -= legs.foot[:, 1]
@@ -47,7 +47,7 @@ def feet_near(body: Definition, spread: float, seed: int = 1, **other: np.ndarra
 
 def joints(body: Definition, poses: Poses) -> np.ndarray:
     """Where joints are, [n, J, 3], in body lengths."""
-    return np.ascontiguousarray(poses.world[..., 3]) @ body.base()[:3, :3].T.astype(np.float32)
+    return np.ascontiguousarray(poses.world[..., 3]) @ body.base_matrix()[:3, :3].T.astype(np.float32)
 
 
 def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
@@ -55,7 +55,7 @@ def test_feet_that_stand_are_where_they_are_to_be(body: Definition) -> None:
     lean = np.concatenate([rng.uniform(-0.12, 0.12, (N, 3)), np.ones((N, 1))], 1).astype(np.float32)
     tilt = lean / np.linalg.norm(lean, axis=1, keepdims=True)
     for feet in (feet_near(body, 0.12), feet_near(body, 0.1, tilt=tilt, rise=np.full(N, -0.1, np.float32))):
-        legs, own = Legs(body), legs_of(body)
+        legs, own = Legs(body), legs_data(body)
         bent_joints = joints(body, legs.bend_legs(rest(body), feet, np.ones(N, np.float32)))
         for k, leg in enumerate(body.legs):
             goal = feet.place[:, k] + np.array([0, own.foot[k, 1], 0])
@@ -129,11 +129,11 @@ def test_feet_beside_bodies_are_as_placed_ones_seen_from_them() -> None:
     rng = np.random.default_rng(3)
     position, orient, scale = rng.normal(size=(5, 3)), rng.normal(size=(5, 4)), rng.uniform(1, 3, 5)
     local = rng.normal(size=(5, 6, 3))
-    placed = position[:, None] + (local * scale[:, None, None]) @ np.swapaxes(rotation(orient), 1, 2)
+    placed = position[:, None] + (local * scale[:, None, None]) @ np.swapaxes(rotation_matrices(orient), 1, 2)
     ones = np.ones(5, np.float32)
     placed_feet = PlacedFeet(
         placed.astype(np.float32), np.ones((5, 6), np.uint8), ones, ones, np.tile(np.float32([0, 0, 0, 1]), (5, 1))
     )
-    beside = placed_feet.beside(position, orient, scale)
+    beside = placed_feet.relative_to(position, orient, scale)
     assert np.allclose(beside.place, local, atol=1e-5) and np.allclose(beside.rise, 1 / scale)
     assert np.array_equal(placed_feet.rows(np.array([2])).P, placed_feet.P[2:3])

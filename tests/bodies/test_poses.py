@@ -9,7 +9,7 @@ from rigs import definition, matrix, still, turn, wild
 from antdsl.bodies.agents import affine, blending
 from antdsl.bodies.agents.blending import ClipTree, Playing, posed
 from antdsl.bodies.agents.definition import Channel, Clip, Definition, Rig
-from antdsl.bodies.agents.poses import Poses, clip_table, local_transforms, sampled, square, world_transforms
+from antdsl.bodies.agents.poses import Poses, clip_table, local_transforms, sample_poses, square_matrices, world_transforms
 
 
 def alone(definition: Definition, clips: list[int], times: list[float]) -> Poses:
@@ -66,7 +66,7 @@ def test_rotations_go_the_shorter_way_and_near_to_slerp(far: float, most: float)
     rotation = np.array([[turn("y", 5)], [[-k for k in turn("y", 5 + far)]]], np.float32)
     clip = Clip("c", 1.0, ("a",), np.zeros((2, 1, 3), np.float32), rotation, np.ones((2, 1, 3), np.float32))
     times = np.linspace(0, 0.999, 500)
-    pose = sampled(clip_table(definition({"a": ""}, clip)), np.zeros(500, np.int32), times)
+    pose = sample_poses(clip_table(definition({"a": ""}, clip)), np.zeros(500, np.int32), times)
     angles = np.degrees(2 * np.arctan2(pose.rotation[1, 0].astype(np.float64), pose.rotation[3, 0].astype(np.float64)))
     worst = np.abs(angles - (5 + far * times)).max()
     assert most / 2 < worst < most
@@ -100,8 +100,8 @@ def test_matrices_are_taken_apart_and_put_together_again() -> None:
     flat = [np.diag([0.0, 0, 0, 1])[:3], np.diag([1.0, 0, 2, 1])[:3], np.array([[1.0, 2, 0, 0], [1, 2, 0, 0], [1, 2, 0, 5]])]
     mirror = [np.diag([1.0, -1, 1, 1])[:3], np.diag([-1.0, -1, -1, 1])[:3]]
     matrices = np.concatenate([np.stack(any_of_them + flat + mirror), np.tile([[[0, 0, 0, 1.0]]], (305, 1, 1))], 1)
-    t, r, s, h = affine.decomposed(matrices)
-    back = affine.composed(t, r, s, h, np.empty((3, 4, 305)))
+    t, r, s, h = affine.decompose_matrices(matrices)
+    back = affine.compose_matrices(t, r, s, h, np.empty((3, 4, 305)))
     assert np.allclose(np.moveaxis(back, -1, 0), matrices[:, :3], atol=1e-5)
     assert np.allclose(np.moveaxis(back, -1, 0)[:300], matrices[:300, :3], atol=1e-9)
     assert np.allclose((r * r).sum(axis=0), 1)
@@ -152,7 +152,7 @@ def test_transforms_may_be_changed_by_hand_and_the_others_follow() -> None:
     local = np.array(alone(arm, [0], [0.5]).local)
     local[0, 0] = matrix((0, 0, 1), turn("z", 180))[:3]
     assert np.allclose(world_transforms(clip_table(arm), local)[0, 1, :, 3], [-2, 0, 1], atol=1e-6)
-    full = square(poses.world)
+    full = square_matrices(poses.world)
     assert full.shape == (3, 12, 4, 4) and full.flags.c_contiguous
     assert np.array_equal(full[..., :3, :], poses.world) and full[1, 1, 3].tolist() == [0, 0, 0, 1]
 

@@ -11,7 +11,7 @@ from rigs import matrix, wild
 
 from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.definition import Binding, Capture, Definition, Layer, Shape
-from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.machine_clips import MachineClips, playing_of_machines
 from antdsl.bodies.agents.poses import clip_table
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.skinned_mesh import SkinnedMesh
@@ -57,7 +57,7 @@ def followed(mesh: SkinnedMesh, body: Definition, world: NDArray[np.float32]) ->
     square[:, :, :3] = world[:, mesh.joint]
     inverse = np.tile(np.eye(4), (len(mesh.joint), 1, 1))
     inverse[:, :3] = mesh.inverse
-    matrices = body.base()[None, None] @ square @ inverse[None]
+    matrices = body.base_matrix()[None, None] @ square @ inverse[None]
     return np.asarray((matrices[:, mesh.bones] * mesh.weights[None, :, :, None, None]).sum(axis=2))
 
 
@@ -71,7 +71,7 @@ def pose_definition(
 ) -> tuple[PosedBody, NDArray[np.float64], NDArray[np.float32], NDArray[np.float32]]:
     """The body of a definition; the matrices of its vertices; its vertices and normals as deformers have them."""
     body, machines = PosedBody(definition, PLAYS), [machine(count)]
-    world = posed(clip_table(definition), {}, machines_playing(clip_table(definition), PLAYS, machines, count)).world
+    world = posed(clip_table(definition), {}, playing_of_machines(clip_table(definition), PLAYS, machines, count)).world
     return body, followed(body.mesh, definition, world), *body.posed(machines, count)
 
 

@@ -8,14 +8,14 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from antdsl.bodies.agents.transforms import (
     ORDERS,
+    align_signs,
     angles_of_rotation,
-    between_rotations,
     matrix_of,
-    one_sign,
     parts_of,
     rotation_matrix,
     rotation_of,
     rotation_of_angles,
+    slerp,
     unit_quaternion,
 )
 
@@ -56,8 +56,8 @@ def test_between_two_rotations_it_goes_the_short_way_at_an_even_rate() -> None:
     turns = unit_quaternion(np.random.default_rng(3).normal(size=(60, 4)))
     for a, b in zip(turns[::2], turns[1::2], strict=True):
         expected = Slerp([0, 1], Rotation.from_quat([a, b]))(0.3).as_matrix()
-        assert np.abs(rotation_matrix(between_rotations(a, b, np.array(0.3))) - expected).max() < 1e-11
-    same = between_rotations(turns, -turns, np.full(60, 0.5))
+        assert np.abs(rotation_matrix(slerp(a, b, np.array(0.3))) - expected).max() < 1e-11
+    same = slerp(turns, -turns, np.full(60, 0.5))
     assert np.abs(np.abs((same * turns).sum(axis=1)) - 1).max() < 1e-12
 
 
@@ -67,4 +67,4 @@ def test_rotations_that_follow_each_other_keep_to_one_sign() -> None:
     rotations = rotation_of_angles(angles, "xyz")
     assert ((rotations[1:] * rotations[:-1]).sum(axis=1) > 0).all()
     signs = np.where(np.arange(40) % 3 == 0, -1.0, 1.0)[:, None]
-    assert (np.abs(one_sign(rotations * signs) - rotations * signs[0]) == 0).all()
+    assert (np.abs(align_signs(rotations * signs) - rotations * signs[0]) == 0).all()

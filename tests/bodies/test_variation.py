@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from antdsl.bodies.agents.definition import Definition, with_language_names
-from antdsl.bodies.agents.driving import Driven
-from antdsl.bodies.agents.packed import digest, packed
-from antdsl.bodies.agents.varied_bodies import Draws
+from antdsl.bodies.agents.driving import DrivenPose
+from antdsl.bodies.agents.packed import digest, pack_definition
+from antdsl.bodies.agents.varied_bodies import VariationDraws
 from antdsl.bodies.files.reading import read_definition
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report
-from antdsl.outputs.cache.body_arrays import unpacked
+from antdsl.outputs.cache.body_arrays import unpack_checked
 
 BLOCK = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 VARIATION = {"scale": {"Head": [0.5, 2.0], "half": [1, 3]}, "materials": {"fur": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}}
@@ -45,9 +45,9 @@ def read(folder: Path, **fields: object) -> tuple[Definition | None, Report]:
     return read_definition(folder / "bug.json")
 
 
-def posed(body: PosedBody, draws: Draws | None) -> np.ndarray:
+def posed(body: PosedBody, draws: VariationDraws | None) -> np.ndarray:
     """Points [n, 4 shapes, 4, 3]."""
-    points = body.posed([], COUNT, driven=Driven(draws=draws))[0]
+    points = body.posed([], COUNT, driven=DrivenPose(draws=draws))[0]
     return points.reshape(COUNT, 4, 4, 3)
 
 
@@ -55,7 +55,7 @@ def test_parts_are_as_large_as_their_agent_has_them(tmp_path: Path) -> None:
     body, report = read(tmp_path)
     assert body is not None and not report.sorted()
     drawn, ids = PosedBody(with_language_names(body), ()), np.arange(COUNT)
-    points, rest = posed(drawn, Draws(ids, 3, "bug")), posed(drawn, None)
+    points, rest = posed(drawn, VariationDraws(ids, 3, "bug")), posed(drawn, None)
     # a block with a corner at its joint: its edge ahead says how large it is
     size = np.linalg.norm(points[:, :, 1] - points[:, :, 0], axis=2)
     root, neck, nose, tail = size.T
@@ -65,31 +65,31 @@ def test_parts_are_as_large_as_their_agent_has_them(tmp_path: Path) -> None:
     assert 1 <= tail.min() < 1.1 and 1.9 < tail.max() <= 2, "half of once to three times as large"
     assert abs(np.corrcoef(neck, tail)[0, 1]) < 0.2
     assert (rest == rest[:1]).all() and np.array_equal(points[:, 0], rest[:, 0])
-    again = posed(drawn, Draws(ids[::-1], 3, "bug"))
+    again = posed(drawn, VariationDraws(ids[::-1], 3, "bug"))
     assert np.array_equal(again[::-1], points), "who else is there changes nothing"
-    assert not np.allclose(posed(drawn, Draws(ids, 4, "bug")), points), "another seed, another crowd"
+    assert not np.allclose(posed(drawn, VariationDraws(ids, 4, "bug")), points), "another seed, another crowd"
 
 
 def test_materials_lie_on_the_way_through_their_colours(tmp_path: Path) -> None:
     body, _ = read(tmp_path)
     assert body is not None
     drawn = PosedBody(with_language_names(body), ())
-    driven = Driven(draws=Draws(np.arange(COUNT), 3, "bug"))
+    driven = DrivenPose(draws=VariationDraws(np.arange(COUNT), 3, "bug"))
     colours = drawn.colours(driven).reshape(COUNT, 4, 4, 3)
     fur, skin = colours[:, 2, 0], colours[:, [0, 1, 3]]
     assert np.allclose(skin, [0.5, 0.4, 0.3]) and fur.sum(axis=1) == pytest.approx(1, abs=1e-5)
     assert not (fur[:, 0] * fur[:, 2]).any() and fur.max(axis=0).min() > 0.9, "from red through green to blue"
-    assert drawn.colours(Driven()).shape == (1, 16, 3)
+    assert drawn.colours(DrivenPose()).shape == (1, 16, 3)
 
 
 def test_a_cache_keeps_it_and_a_body_without_is_as_it_was(tmp_path: Path) -> None:
     body, _ = read(tmp_path)
     assert body is not None
-    again = unpacked(packed(with_language_names(body)))
+    again = unpack_checked(pack_definition(with_language_names(body)))
     assert dict(again.variation.scales) == {"head": (0.5, 2.0), "half": (1.0, 3.0)}
     assert again.variation.materials["fur"][1] == (0, 1, 0) and digest(again) == digest(with_language_names(body))
     plain, _ = read(tmp_path, variation={})
-    assert plain is not None and b"variation" not in packed(plain)["text"].tobytes()
+    assert plain is not None and b"variation" not in pack_definition(plain)["text"].tobytes()
 
 
 @pytest.mark.parametrize(

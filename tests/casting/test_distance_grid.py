@@ -25,7 +25,7 @@ def test_bounds_are_those_of_the_nearest_cell_and_the_way_to_it(kind: type, thre
         gap = at - inside
         outside = (gap[:, 0] * gap[:, 0] + gap[:, 1] * gap[:, 1]) + gap[:, 2] * gap[:, 2]
         away = np.sqrt((least * least).astype(np.float64) + outside) * (1 - 1e-5)
-    bounds = grid.at_least(*np.ascontiguousarray(points.T), threads)
+    bounds = grid.lower_bounds(*np.ascontiguousarray(points.T), threads)
     assert bounds.dtype == np.float32
     assert np.array_equal(bounds, np.where(outside > 0, away, least).astype(np.float32))
     assert (bounds[4:] == 0).sum() > 50 and ((bounds > 0) & (outside == 0)).sum() > 1000 and (outside > 0).sum() > 1000
@@ -33,4 +33,4 @@ def test_bounds_are_those_of_the_nearest_cell_and_the_way_to_it(kind: type, thre
         point = np.broadcast_to(at[k], (len(corners), 3))
         distance = np.sqrt(((nearest_on_triangle(point, corners) - point) ** 2).sum(axis=1)).min()
         assert bounds[k] <= distance * (1 + 1e-6)
-    assert not len(grid.at_least(*np.empty((3, 0), kind)))
+    assert not len(grid.lower_bounds(*np.empty((3, 0), kind)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import distance_transform_edt, maximum_filter, minimum_filter
 
-from antdsl.casting.grid_filters import distances, greatest_around, least_around
+from antdsl.casting.grid_filters import distances_to_blocked, greatest_around, least_around
 
 SHAPES = [(1, 1, 1), (5, 1, 7), (30, 4, 50), (2, 90, 3), (40, 40, 40)]
 
@@ -28,4 +28,4 @@ def test_the_best_around(shape: tuple[int, ...], rings: int) -> None:
 def test_distances_to_the_nearest(shape: tuple[int, ...], share: float) -> None:
     taken = np.random.default_rng(5).random(shape) < share
     taken.flat[taken.size // 3] = True
-    assert np.array_equal(distances(~taken), distance_transform_edt(~taken))
+    assert np.array_equal(distances_to_blocked(~taken), distance_transform_edt(~taken))

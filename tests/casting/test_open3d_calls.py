@@ -37,8 +37,8 @@ class CountedScene:
 @pytest.fixture
 def calls(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
     counter: Counter[str] = Counter()
-    built = RayScene._built
-    monkeypatch.setattr(RayScene, "_built", lambda self, corners: CountedScene(built(self, corners), counter))
+    built = RayScene._build_scene
+    monkeypatch.setattr(RayScene, "_build_scene", lambda self, corners: CountedScene(built(self, corners), counter))
     return counter
 
 

@@ -100,7 +100,7 @@ def walked(scene: RayScene, starts: np.ndarray, origin: np.ndarray, direction: n
 def first_of_all(faces: Faces, origin: np.ndarray, direction: np.ndarray) -> tuple[float, int]:
     """What a ray hits first, by a loop over all faces."""
     every = np.arange(len(faces.corners))
-    t, _, inside, _ = faces.crossing(every, np.tile(origin, (len(every), 1)), np.tile(direction, (len(every), 1)))
+    t, _, inside, _ = faces.cross_planes(every, np.tile(origin, (len(every), 1)), np.tile(direction, (len(every), 1)))
     with np.errstate(divide="ignore"):
         hair = faces.hair / np.sqrt((direction[0] * direction[0] + direction[1] * direction[1]) + direction[2] * direction[2])
     parts = np.where(inside & (t > hair) & (t <= 1.0), t, np.inf)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.casting.faces import Faces, _heaviest, nearest_on, nearest_on_triangle
+from antdsl.casting.faces import Faces, _greatest_index, nearest_on, nearest_on_triangle
 from antdsl.casting.rays import RayScene
 from tests.meshes import ball, box, terrain
 
@@ -40,7 +40,7 @@ class Shaken:
 
 def shaken(scene: RayScene, seed: int) -> RayScene:
     scene._tree = Shaken(scene._scene, seed)
-    scene._exact = Shaken(scene._built(scene._faces.corners.reshape(-1, 3).astype(np.float32)), seed)
+    scene._exact = Shaken(scene._build_scene(scene._faces.corners.reshape(-1, 3).astype(np.float32)), seed)
     return scene
 
 
@@ -62,8 +62,8 @@ def rays_at_edges() -> tuple[np.ndarray, np.ndarray]:
     hit = np.flatnonzero(first.hit)
     face = scene._first_face[first.mesh[hit]] + first.face[hit]
     weights = np.stack([1 - first.u - first.v, first.u, first.v], axis=1)[hit]
-    which, other = scene._faces.meeting(face, weights)
-    slope = np.abs((scene._faces.normal(other) * displacement[hit[which]]).sum(axis=1)) / np.sqrt(
+    which, other = scene._faces.faces_at_corner(face, weights)
+    slope = np.abs((scene._faces.normals(other) * displacement[hit[which]]).sum(axis=1)) / np.sqrt(
         (displacement[hit[which]] ** 2).sum(axis=1)
     )
     along = np.zeros(len(origin), bool)
@@ -89,10 +89,10 @@ def answers(scene: RayScene) -> dict[str, np.ndarray]:
     x, y, z = (np.ascontiguousarray(v, np.float32) for v in origin.T)
     size = np.sqrt((displacement**2).sum(axis=1))
     dx, dy, dz = (np.ascontiguousarray(v, np.float32) for v in (displacement / size[:, None]).T)
-    contacts = scene.feelers(x, y, z, dx, dy, dz, size.astype(np.float32))
+    contacts = scene.cast_feelers(x, y, z, dx, dy, dz, size.astype(np.float32))
     away = origin[:: len(origin) // 3000] + np.array([0.0, 3.0, 0.0])
     _, near, place, distance = scene.closest(away)
-    touched = scene.near(*(np.ascontiguousarray(v, np.float32) for v in away.T), 20.0)
+    touched = scene.nearest_within(*(np.ascontiguousarray(v, np.float32) for v in away.T), 20.0)
     return {
         "rows": rows, "part": part, "mesh": mesh, "face": face, "t": first.t, "first": first.face, "u": first.u,
         "felt": contacts.t, "normal": contacts.nx, "near": near, "place": place, "distance": distance, "touched": touched.t,
@@ -119,7 +119,7 @@ def test_a_ray_meets_what_float64_says_it_meets():
     hits = scene.cast(origin, displacement)
     firsts = np.cumsum([0, *(len(f) for _, f in meshes())])
     for k in range(len(origin)):
-        t, _, inside, _ = faces.crossing(
+        t, _, inside, _ = faces.cross_planes(
             every, np.repeat(origin[k : k + 1], len(every), 0), np.repeat(displacement[k : k + 1], len(every), 0)
         )
         t = np.where(inside & (t > 1e-4), t, np.inf)
@@ -131,10 +131,10 @@ def test_a_ray_meets_what_float64_says_it_meets():
 def test_open3d_is_shown_triangles_that_miss_none_of_a_face():
     corners = np.concatenate([v[f] for v, f in meshes()])
     faces = Faces(corners)
-    wide = faces.widened().reshape(-1, 3, 3).astype(np.float64)
+    wide = faces.widened_corners().reshape(-1, 3, 3).astype(np.float64)
     outer = Faces(wide)
     for k in range(3):
-        _, weights, _, _ = outer.crossing(
+        _, weights, _, _ = outer.cross_planes(
             np.arange(len(wide)), corners[:, k] + 0.0, np.cross(*(wide[:, j] - wide[:, 0] for j in (1, 2)))
         )
         high = 2 * np.sqrt((np.cross(wide[:, 1] - wide[:, 0], wide[:, 2] - wide[:, 0]) ** 2).sum(axis=1))
@@ -171,4 +171,4 @@ def test_the_nearest_place_of_a_face_is_the_same_for_one_and_for_many():
     [(1, 2, 3), (3, 2, 1), (2, 3, 1), (2, 2, 1), (1, 2, 2), (2, 1, 2), (np.nan, 1, 2), (1, np.nan, np.nan), (1, 2, np.nan)],
 )
 def test_the_heaviest_corner_is_the_same_one(weights: tuple[float, float, float]):
-    assert _heaviest(*map(float, weights)) == int(np.argmax(weights))
+    assert _greatest_index(*map(float, weights)) == int(np.argmax(weights))

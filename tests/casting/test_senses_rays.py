@@ -79,7 +79,7 @@ def test_nothing_to_hit():
     hits = scene.cast(np.zeros((2, 3)), np.ones((2, 3)))
     assert np.isinf(hits.t).all() and not scene.occluded(np.zeros((2, 3)), np.ones((2, 3))).any()
     zero = np.zeros(2, np.float32)
-    assert not scene.feelers(zero, zero, zero, zero, zero, zero + 1, 5.0).hit.any()
+    assert not scene.cast_feelers(zero, zero, zero, zero, zero, zero + 1, 5.0).hit.any()
     assert np.isinf(scene.closest(np.zeros((2, 3)))[3]).all()
 
 
@@ -92,7 +92,7 @@ def test_feelers_find_what_rays_without_culling_find():
     turn = rng.uniform(0, 2 * np.pi, n)
     dx, dy, dz = np.cos(turn).astype(np.float32), np.zeros(n, np.float32), np.sin(turn).astype(np.float32)
     reach = rng.uniform(1, 25, n).astype(np.float32)
-    contacts = scene.feelers(x, y, z, dx, dy, dz, reach)
+    contacts = scene.cast_feelers(x, y, z, dx, dy, dz, reach)
     rays = np.stack([dx, dy, dz], axis=1).astype(np.float64) * reach[:, None]
     all_of_them = scene.cast(np.stack([x, y, z], axis=1).astype(np.float64), rays)
     expected = all_of_them.t <= 1.0
@@ -109,7 +109,7 @@ def test_the_distance_grid_never_promises_too_much_and_promises_something(mesh):
     grid_of = DistanceGrid(mesh[0][mesh[1]], cells=20_000)
     points = np.random.default_rng(2).uniform(-250, 250, (4000, 3))
     true = RayScene(*mesh).closest(points)[3]
-    least = grid_of.at_least(*points.T)
+    least = grid_of.lower_bounds(*points.T)
     assert (least <= true).all()
     assert np.mean(least > 0.5 * true) > 0.8
 
@@ -118,7 +118,7 @@ def test_places_that_are_none_and_places_without_measure_are_answered():
     mesh = ball(20.0, (5, 1, 2))
     odd = np.array([[np.nan, 0, 0], [np.nan] * 3, [np.inf, -np.inf, 0], [1e30, 1e38, -1e30], [0, 0, 0]])
     with np.errstate(all="ignore"):
-        least = DistanceGrid(mesh[0][mesh[1]], cells=20_000).at_least(*odd.T)
+        least = DistanceGrid(mesh[0][mesh[1]], cells=20_000).lower_bounds(*odd.T)
         _, face, _, distance = RayScene(*mesh).closest(odd)
     assert (least[2:4] > 1e29).all() and least[4] < 20
     assert ((face >= 0) & (face < len(mesh[1]))).all() and np.isnan(distance[:2]).all() and distance[4] < 20

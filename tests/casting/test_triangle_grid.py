@@ -86,7 +86,7 @@ def sample_points(scene: RayScene, grid: TriangleGrid, count: int) -> np.ndarray
 
 def by_open3d(scene: RayScene, origin: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     t, face = np.full(len(origin), np.inf), np.full(len(origin), NOTHING)
-    rows, part, named, _ = scene._first(origin, displacement, 1.0, 2)
+    rows, part, named, _ = scene._first_hits(origin, displacement, 1.0, 2)
     t[rows], face[rows] = part, named
     return t, face
 
@@ -94,7 +94,7 @@ def by_open3d(scene: RayScene, origin: np.ndarray, displacement: np.ndarray) -> 
 def of_all(faces: Faces, origin: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """For one ray, after what part it meets each face (inf = it does not)."""
     every = np.arange(len(faces.corners))
-    t, _, inside, _ = faces.crossing(every, np.tile(origin, (len(every), 1)), np.tile(displacement, (len(every), 1)))
+    t, _, inside, _ = faces.cross_planes(every, np.tile(origin, (len(every), 1)), np.tile(displacement, (len(every), 1)))
     hair = faces.hair / np.sqrt(
         (displacement[0] * displacement[0] + displacement[1] * displacement[1]) + displacement[2] * displacement[2]
     )
@@ -187,7 +187,7 @@ def test_a_short_ray_meets_what_it_meets_of_all_faces(name: str):
 @pytest.mark.parametrize("name", MESHES)
 def test_normals_of_first_faces_are_those_named(name: str, threads: int):
     scene, _ = make_grid(name)
-    grid = scene._triangles()
+    grid = scene._triangle_grid()
     assert grid is not None
     origin, displacement = rays(scene, grid, 2000)
     origin, named = origin + scene.origin, np.random.default_rng(4).permutation(len(scene._faces.corners))
@@ -195,11 +195,11 @@ def test_normals_of_first_faces_are_those_named(name: str, threads: int):
     short = np.flatnonzero(grid.first(origin - scene.origin, displacement)[1] != FURTHER)
     assert 0 < len(short) < len(origin)
     for subset in (slice(None), short, slice(0, 0)):  # of some rays, and of none, the grid cannot tell
-        which, part, normal = scene.faced(origin[subset], displacement[subset], normals, named, threads)
-        rows, at, face = scene._within(origin[subset] - scene.origin, displacement[subset], 1)
+        which, part, normal = scene.trace_normals(origin[subset], displacement[subset], normals, named, threads)
+        rows, at, face = scene._first_hits_within(origin[subset] - scene.origin, displacement[subset], 1)
         assert np.array_equal(which, rows) and np.array_equal(part, at) and (len(rows) > 100 or isinstance(subset, slice))
         assert np.array_equal(normal, normals[:, named[face]])
-    assert grid.faced(origin[short], displacement[short], normals, named, threads)[1] == 0
+    assert grid.trace_normals(origin[short], displacement[short], normals, named, threads)[1] == 0
 
 
 def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
@@ -214,9 +214,9 @@ def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
     asking = np.arange(3000) % 2 == 0
     answers = []
     for which in (scene, far):
-        contacts = which.feelers(*place, *direction, reach)
+        contacts = which.cast_feelers(*place, *direction, reach)
         gap, out = which.signed_distances(*place, reach)
-        near = which.near(*place, reach)
+        near = which.nearest_within(*place, reach)
         results = np.zeros(3000, np.bool_), np.full(3000, np.inf, np.float32), *np.zeros((3, 3000), np.float32)
         left = which.feel_batch(
             (*place, clear), [(~asking & asking, (*direction, reach), results), (asking, (*direction, reach), results)]
@@ -230,7 +230,7 @@ def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
             answered_rows = np.setdiff1d(np.flatnonzero(asking), remaining_rows)
             x, y, z = (each[answered_rows] for each in direction)
             size = np.sqrt((x * x + y * y) + z * z)
-            same = which.feelers(*(v[answered_rows] for v in place), x / size, y / size, z / size, reach[answered_rows])
+            same = which.cast_feelers(*(v[answered_rows] for v in place), x / size, y / size, z / size, reach[answered_rows])
             hit, t, nx, *_ = (part[answered_rows] for part in results)
             assert np.array_equal(hit, same.hit) and np.array_equal(t, same.t) and np.array_equal(nx, same.nx)
     assert np.isfinite(answers[0][0]).sum() > 500 and (answers[0][4] < 0).any()
@@ -241,11 +241,11 @@ def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
 
 def test_a_grid_is_made_only_where_it_is_small_and_of_use(monkeypatch: pytest.MonkeyPatch):
     vertices, faces = terrain(100, 20)
-    assert RayScene(vertices, faces, brief=True)._triangles() is None
+    assert RayScene(vertices, faces, brief=True)._triangle_grid() is None
     assert TriangleGrid.of(Faces(np.empty((0, 3, 3))), np.zeros(3)) is None
     dense = RayScene.of([terrain(10_000, 1), ball(1.0, (0, 200, 0), 60)])
-    assert dense._triangles() is None  # thousands of faces in one cube
+    assert dense._triangle_grid() is None  # thousands of faces in one cube
     listed = []
     monkeypatch.setattr(triangle_grid, "triangle_cells", lambda *a, **k: listed.append(a) or iter(()))
     monkeypatch.setattr(triangle_grid, "_LISTED", 4000)
-    assert RayScene(vertices, faces)._triangles() is None and not listed
+    assert RayScene(vertices, faces)._triangle_grid() is None and not listed

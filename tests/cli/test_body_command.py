@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from antdsl.cli import app
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.exits import CommandError, ExitCode
 
 
 @pytest.fixture
@@ -27,9 +27,9 @@ def printed(*words: str) -> str:
     return result.stdout
 
 
-def left(*words: str) -> tuple[Exit, str]:
+def left(*words: str) -> tuple[ExitCode, str]:
     result = CliRunner().invoke(app, ["body", *words])
-    assert isinstance(result.exception, Stop), result.stdout
+    assert isinstance(result.exception, CommandError), result.stdout
     return result.exception.code, result.stdout
 
 
@@ -86,14 +86,14 @@ def test_programs_get_json(arm: Path) -> None:
     arm.write_bytes(arm.read_bytes()[:100])
     code, text = left(str(arm), "--json")
     document = json.loads(text)
-    assert code == Exit.FINDINGS and document["body"] is None and document["findings"]["diagnostics"][0]["code"] == "bad-body"
+    assert code == ExitCode.FINDINGS and document["body"] is None and document["findings"]["diagnostics"][0]["code"] == "bad-body"
 
 
 def test_exit_codes(arm: Path, tmp_path: Path) -> None:
-    assert left(str(tmp_path / "gone.json"))[0] == Exit.INPUT_OUTPUT
-    assert left(str(tmp_path))[0] == Exit.FINDINGS  # a folder is no kind of file that has a body
+    assert left(str(tmp_path / "gone.json"))[0] == ExitCode.INPUT_OUTPUT
+    assert left(str(tmp_path))[0] == ExitCode.FINDINGS  # a folder is no kind of file that has a body
     code, text = left(str(tmp_path / "ant.fbx"))
-    assert code == Exit.FINDINGS and "export it as glTF or USD" in text
+    assert code == ExitCode.FINDINGS and "export it as glTF or USD" in text
     (tmp_path / "body.json").write_text('{"antdsl_body": 1, "rig": {"file": "assets:rig.json"}, "length": 1}')
     assert "root-not-granted" in left(str(tmp_path / "body.json"))[1]
     (tmp_path / "assets").mkdir()

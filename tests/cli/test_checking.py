@@ -31,7 +31,7 @@ def labels(diagnostic: Diagnostic) -> list[tuple[object, ...]]:
 
 
 def check_files(files: list[Path], monkeypatch: pytest.MonkeyPatch, cores: int) -> tuple[list[tuple[object, ...]], list[str]]:
-    monkeypatch.setattr(checking, "_may_fork", lambda: True)  # whatever other tests have imported
+    monkeypatch.setattr(checking, "_can_fork", lambda: True)  # whatever other tests have imported
     checked = checking.check_all(files, Choices(), cores=cores)
     assert set(checked.reports) == set(files)
     findings = [
@@ -60,7 +60,7 @@ def test_what_a_dead_process_leaves_is_checked_all_the_same(monkeypatch: pytest.
         os.read(claims, 1)  # it has taken a group with it
         os._exit(9)
 
-    monkeypatch.setattr(checking, "_work", dies)
+    monkeypatch.setattr(checking, "_run_child", dies)
     assert check_files(files, monkeypatch, 2) == one
 
 
@@ -100,7 +100,7 @@ def test_files_that_may_use_each_other_stay_together(tmp_path: Path) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text("ant 1\n")
     files = sorted(tmp_path.rglob("*.ant"))
-    groups = {frozenset(file.name for file in group) for group in checking._groups(files)}
+    groups = {frozenset(file.name for file in group) for group in checking._group_files(files)}
     assert groups == {frozenset({"one.ant", "two.ant"}), frozenset({"three.ant"}), frozenset({"four.ant"})}
 
 

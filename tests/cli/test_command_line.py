@@ -13,14 +13,14 @@ from typer.testing import CliRunner
 
 from antdsl import __version__
 from antdsl.cli import COMMANDS, app
-from antdsl.cli.exits import Stop
+from antdsl.cli.exits import CommandError
 
 PROGRAM = 'ant 1\nuse "./mine.ant" as mine\nspecies a { state s { steer mine.go() } }\n'
 
 
 def run(*words: str, text: str | None = None) -> tuple[int, str]:
     result = CliRunner().invoke(app, list(words), input=text)
-    if isinstance(result.exception, Stop):
+    if isinstance(result.exception, CommandError):
         return result.exception.code, f"{result.output}{result.exception.message}"
     return result.exit_code, result.output
 

@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.outputs.cache.hashes import HASHES, read_lines
-from antdsl.preview import Watch
+from antdsl.preview import FileWatch
 
 ROOT = Path(__file__).resolve().parents[2]
 posix = pytest.mark.skipif(os.name == "nt", reason="no such files there")
@@ -59,13 +59,13 @@ def test_r2_a_storm_of_changes_is_reported_once(folder: Path) -> None:
     for each in files:
         each.write_text("one")
     now = [0.0]
-    watch = Watch(lambda: files, clock=lambda: now[0])
+    watch = FileWatch(lambda: files, clock=lambda: now[0])
     for each in files:
         each.write_text("two, longer")
     reports = []
     for _ in range(40):
         now[0] += 0.01
-        reports += [changes] if (changes := watch.look()) else []
+        reports += [changes] if (changes := watch.poll()) else []
     assert len(reports) == 1 and set(reports[0]) == set(files)
 
 

@@ -8,8 +8,8 @@ import commands
 import pytest
 
 import antdsl.numerics.host as available
-from antdsl.cli.exits import Exit, Stop
-from antdsl.cli.memory_demand import demand_memory, work_of
+from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.memory_demand import estimate_work, require_memory
 from antdsl.pipeline import Shot, open_scene
 
 SCENES = {"species walker": ("count: 200", "count: 4000000"), "surface ground": ("count: 200", "count: 1")}
@@ -28,29 +28,29 @@ def shot_of(folder: Path, *change: str) -> Shot:
 @pytest.mark.parametrize("thing", SCENES)
 def test_the_largest_thing_is_named_at_its_place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, thing: str) -> None:
     shot = shot_of(tmp_path / "project", *SCENES[thing])
-    needed = sum(work.bytes for work in work_of(shot))
+    needed = sum(work.bytes for work in estimate_work(shot))
     monkeypatch.setattr(available, "available_memory", lambda: int(needed / 0.8) + 1)
-    demand_memory([shot])
+    require_memory([shot])
     monkeypatch.setattr(available, "available_memory", lambda: None)
-    demand_memory([shot])
+    require_memory([shot])
     monkeypatch.setattr(available, "available_memory", lambda: int(needed / 0.8) - 1)
-    with pytest.raises(Stop) as stop:
-        demand_memory([shot])
-    assert stop.value.code == Exit.INPUT_OUTPUT and "--any-memory" in stop.value.hint
+    with pytest.raises(CommandError) as stop:
+        require_memory([shot])
+    assert stop.value.code == ExitCode.INPUT_OUTPUT and "--any-memory" in stop.value.hint
     place, _, words = stop.value.message.removeprefix("error: ").partition(": this needs at least ")
     assert place.rsplit(":", 2)[0].endswith("scene.yaml") and words.partition(": ")[2].startswith(thing)
 
 
 def test_scenes_at_once_count_together(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shot = shot_of(tmp_path / "project", "", "")
-    needed = sum(work.bytes for work in work_of(shot))
+    needed = sum(work.bytes for work in estimate_work(shot))
     monkeypatch.setattr(available, "available_memory", lambda: int(needed / 0.8) + 1)
-    demand_memory([shot, shot, shot], 1)
-    with pytest.raises(Stop):
-        demand_memory([shot, shot, shot], 2)
-    demand_memory([shot], 2)
-    with pytest.raises(Stop, match="at least") as stop:
-        demand_memory([shot], 2, runs=5)
+    require_memory([shot, shot, shot], 1)
+    with pytest.raises(CommandError):
+        require_memory([shot, shot, shot], 2)
+    require_memory([shot], 2)
+    with pytest.raises(CommandError, match="at least") as stop:
+        require_memory([shot], 2, runs=5)
     assert "--jobs" in stop.value.hint
 
 

@@ -148,7 +148,7 @@ def test_the_page_shows_the_files_as_they_are_written(kind: str, name: str) -> N
 
 
 def test_the_page_has_every_exit_code() -> None:
-    from antdsl.cli.exits import Exit
+    from antdsl.cli.exits import ExitCode
 
     page = (ROOT / "docs" / "ci.md").read_text(encoding="utf-8")
-    assert [int(code) for code in re.findall(r"^\| (\d+) \|", page, re.M)] == [code.value for code in Exit]
+    assert [int(code) for code in re.findall(r"^\| (\d+) \|", page, re.M)] == [code.value for code in ExitCode]

@@ -24,11 +24,11 @@ def walkers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
     def beside(*what: Any) -> Future[Any]:
         coming: Future[Any] = Future()
-        coming.set_exception(ready.Unavailable(WHY))
+        coming.set_exception(ready.CodeUnavailable(WHY))
         return coming
 
-    monkeypatch.setattr(native_backend, "beside", beside)
-    monkeypatch.setattr(native_backend, "known", lambda plan, facts: None)
+    monkeypatch.setattr(native_backend, "start_building", beside)
+    monkeypatch.setattr(native_backend, "find_ready", lambda plan, facts: None)
     monkeypatch.setattr(native_backend, "_MANY", 0)
     assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
     return tmp_path
@@ -64,6 +64,6 @@ def test_the_preview_tells_once_and_as_it_comes(walkers: Path, capsys: pytest.Ca
     notes, said = Notes(), []
     for _ in range(4):
         session.step()
-        notes.stepped(session)
+        notes.after_step(session)
         said.append(capsys.readouterr().err)
     assert said == ["", NOTE, "", ""]

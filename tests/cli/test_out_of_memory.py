@@ -17,7 +17,7 @@ from cases.hostile.usd import GOOD
 from children import child_environment
 
 from antdsl.cli import app
-from antdsl.cli.exits import Stop, is_out_of_memory, report_failures
+from antdsl.cli.exits import CommandError, is_out_of_memory, report_failures
 
 
 class ArrayMemoryError(MemoryError):
@@ -43,7 +43,7 @@ def test_no_memory_is_exit_code_3_and_no_bug(tmp_path: Path, problem: Exception)
 
 @pytest.mark.parametrize("problem", PROBLEMS, ids=lambda each: f"{type(each).__name__} {each}")
 def test_no_memory_while_writing_says_how_to_continue(problem: Exception) -> None:
-    with pytest.raises(Stop) as stop, report_failures("the export stopped", "go on with: antdsl run"):
+    with pytest.raises(CommandError) as stop, report_failures("the export stopped", "go on with: antdsl run"):
         raise problem
     assert stop.value.code == 3 and stop.value.message.startswith("error: out of memory")
     assert stop.value.hint.endswith("go on with: antdsl run")

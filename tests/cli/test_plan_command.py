@@ -14,7 +14,7 @@ from antdsl.machine_code import machine
 from antdsl.pipeline import open_scene
 from antdsl.plan import show
 from antdsl.runtime.backends.native import listing
-from antdsl.runtime.backends.native.programs import Facts
+from antdsl.runtime.backends.native.programs import WorldFacts
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 
@@ -45,7 +45,9 @@ def test_machine_code_is_that_of_the_scene_that_runs_it_and_lines_have_their_fil
     assert shot is not None and shot.setting.detail is not None
     far_listing = plan("far/scene.yaml", "--native", cwd=tmp_path)
     assert (
-        far_listing == listing.show(listing.of_plan(shot.plan, machine.host(), Facts(moving=False, detail=True))) + "\n" != still
+        far_listing
+        == listing.show(listing.plan_program(shot.plan, machine.host(), WorldFacts(moving=False, detail=True))) + "\n"
+        != still
     )
     assert re.search(r"then NumPy: ray\(stones\), <steering>:\d+, 3 times\n", still)
     assert "asks for claim, forager.ant:51\n" in still

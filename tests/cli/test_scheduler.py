@@ -9,7 +9,7 @@ from cluster_stage import certificates
 from typer.testing import CliRunner
 
 from antdsl.cli import app
-from antdsl.cli.exits import Stop
+from antdsl.cli.exits import CommandError
 from antdsl.executors import Processes
 
 
@@ -62,7 +62,7 @@ def test_bad_certificates_are_reported(tmp_path: Path) -> None:
 def test_without_the_extra_the_message_says_how_to_install_it(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     result = CliRunner().invoke(app, ["sweep", "walkers/scene.yaml", "--seeds", "1", "--scheduler", "local", "--no-plots"])
-    assert isinstance(result.exception, Stop) and "pip install 'antdsl[cluster]'" in result.exception.hint
+    assert isinstance(result.exception, CommandError) and "pip install 'antdsl[cluster]'" in result.exception.hint
 
 
 def test_processes_are_what_runs_without_one(monkeypatch: pytest.MonkeyPatch) -> None:

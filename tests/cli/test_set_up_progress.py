@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from antdsl.cli.printing import progress
-from antdsl.cli.printing.progress import set_up
+from antdsl.cli.printing.progress import show_set_up
 from antdsl.numerics import stages, stored_tables
 
 
@@ -32,7 +32,7 @@ def test_a_terminal_shows_each_stage_and_takes_it_away(monkeypatch: pytest.Monke
     terminal = Terminal()
     monkeypatch.setattr(sys, "stdout", terminal)
     monkeypatch.setenv("TERM", "xterm")
-    with set_up(quiet=False):
+    with show_set_up(quiet=False):
         stage_twice()
     text = terminal.getvalue()
     assert "set up: feet" in text and text.endswith("\x1b[2K"), "the line is cleared"
@@ -41,7 +41,7 @@ def test_a_terminal_shows_each_stage_and_takes_it_away(monkeypatch: pytest.Monke
 def test_a_pipe_has_a_line_after_five_seconds(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     clock = [100.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: clock[0])
-    with set_up(quiet=False):
+    with show_set_up(quiet=False):
         stage_twice(clock)
         assert capsys.readouterr().out == ""
         stage_twice(clock)
@@ -51,7 +51,7 @@ def test_a_pipe_has_a_line_after_five_seconds(monkeypatch: pytest.MonkeyPatch, c
 def test_quiet_shows_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = Terminal()
     monkeypatch.setattr(sys, "stdout", terminal)
-    with set_up(quiet=True):
+    with show_set_up(quiet=True):
         stage_twice()
     assert terminal.getvalue() == ""
 
@@ -60,9 +60,9 @@ def test_only_large_tables_that_are_computed_are_stages(monkeypatch: pytest.Monk
     monkeypatch.setenv(stored_tables.KIND.variable, "")
     stored_tables.forget()
     stage_names: list[str] = []
-    with stages.reported(stage_names.append):
+    with stages.report_to(stage_names.append):
         for size in (20, 124_000):
-            stored_tables.stored("cuts", size, (np.arange(3),), lambda: {"found": np.arange(3)})
+            stored_tables.get_or_compute("cuts", size, (np.arange(3),), lambda: {"found": np.arange(3)})
         other = Thread(target=stages.begin, args=("of another thread",))
         other.start()
         other.join()

@@ -24,7 +24,7 @@ import pytest
 from children import child_environment
 
 from antdsl.cli import COMMANDS
-from antdsl.cli.printing.messages import Terminal, notes, say
+from antdsl.cli.printing.messages import Terminal, note_output, print_note
 
 STREAMS, STATES = ("stdout", "stderr"), ("closed", "full", "broken", "slow")
 PORT = "PORT"
@@ -279,12 +279,12 @@ def test_notes_do_not_wait_for_a_slow_reader(monkeypatch: pytest.MonkeyPatch) ->
         stream = io.TextIOWrapper(io.BufferedWriter(terminal), "ascii", "backslashreplace")
         monkeypatch.setattr(sys, "stdout", stream)
         for number in range(200):
-            say(f"frame {number} of 200, é and \udcff")
-        with notes():
+            print_note(f"frame {number} of 200, é and \udcff")
+        with note_output():
             stream.write("the end\n")
         assert len(terminal.backlog) > 5000
         received = bytearray(os.read(reader, 4096))
-        thread = threading.Thread(target=terminal.settle)
+        thread = threading.Thread(target=terminal.flush_backlog)
         thread.start()
         while not received.endswith(b"the end\n"):
             received += os.read(reader, 512)

@@ -111,12 +111,12 @@ def complete_text(block: Block) -> str:
 
 
 def check(text: str, name: str) -> Report:
-    from antdsl.loading import library
+    from antdsl.loading import find_library
     from antdsl.program import check as check_program
     from antdsl.syntax import parse
 
     file, report = parse(Source(name, text))
-    _, findings = check_program(file, library=library, modules={})
+    _, findings = check_program(file, library=find_library, modules={})
     report.extend(findings)
     return report
 

@@ -105,12 +105,12 @@ def lethal(document: Mapping[str, object], worker: Worker) -> dict[str, object]:
 
 @pytest.mark.slow
 def test_a_task_that_kills_each_worker_is_reported_as_failed(monkeypatch: pytest.MonkeyPatch) -> None:
-    from antdsl.executors.cluster import connected, local_cluster
+    from antdsl.executors.cluster import connect, local_cluster
 
     monkeypatch.setenv(
         "PYTHONPATH", os.pathsep.join((str(ROOT), str(Path(__file__).parent), str(ROOT / "tests"), str(ROOT / "tests/cli")))
     )
-    with local_cluster(2, 1) as (address, security), connected(address, security, []) as cluster:
+    with local_cluster(2, 1) as (address, security), connect(address, security, []) as cluster:
         (answered,) = run_tasks([Task("x", lethal, {})], cluster)
     assert answered.answer is None and "was lost" in answered.problem
 

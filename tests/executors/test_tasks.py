@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from executed import InThisProcess
 
-from antdsl.executors import Refused, Task, Worker, run_tasks
+from antdsl.executors import Task, TaskRefused, Worker, run_tasks
 
 
 def doubled(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     if document["n"] < 0:
-        raise Refused(f"{document['n']} is below 0")
+        raise TaskRefused(f"{document['n']} is below 0")
     worker.notes.append(f"had {document['n']}")
     return {"n": 2 * document["n"]}
 
@@ -69,7 +69,7 @@ class Fragile(InThisProcess):
                 future.set_result(super().submit(Executor(), task, 0).result())
         return None
 
-    def why_broken(self) -> str:
+    def break_reason(self) -> str:
         return "it was ended"
 
 

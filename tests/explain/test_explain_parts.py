@@ -16,7 +16,7 @@ from sampling import sampled
 from antdsl.cli import _run as run_in_process
 from antdsl.explain import CacheHistory, ExplainError, Explanation, Replay, as_json, explain, explain_agents, open_shot, tell
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
-from antdsl.outputs.cache.manifest import ManifestError, way_to
+from antdsl.outputs.cache.manifest import ManifestError, relative_path
 
 ROOT = Path(__file__).resolve().parents[2]
 BUG = """ant 1
@@ -394,14 +394,14 @@ def test_the_scene_is_found_where_it_was_from_the_cache(cache: Cache, tmp_path: 
 
 def test_no_folder_of_the_machine_is_written_into_a_cache(tmp_path: Path) -> None:
     (tmp_path / "scene.yaml").write_text("antdsl: 1\n")
-    assert way_to(tmp_path / "scene.yaml", tmp_path / "out" / "scene") == "../../scene.yaml"
-    assert way_to(tmp_path / "scene.yaml", tmp_path) == "scene.yaml"
+    assert relative_path(tmp_path / "scene.yaml", tmp_path / "out" / "scene") == "../../scene.yaml"
+    assert relative_path(tmp_path / "scene.yaml", tmp_path) == "scene.yaml"
     top = Path(tmp_path.anchor)
-    assert way_to(tmp_path / "scene.yaml", top / "cache") is None
-    assert way_to(top / "scene.yaml", tmp_path) is None
-    assert way_to(tmp_path / ("x" * 250) / ("y" * 250) / "scene.yaml", tmp_path / "out") is None
+    assert relative_path(tmp_path / "scene.yaml", top / "cache") is None
+    assert relative_path(top / "scene.yaml", tmp_path) is None
+    assert relative_path(tmp_path / ("x" * 250) / ("y" * 250) / "scene.yaml", tmp_path / "out") is None
     (tmp_path / "link").symlink_to(tmp_path / "far" / "away", target_is_directory=True)
-    assert way_to(tmp_path / "link" / "scene.yaml", tmp_path / "out") == "../link/scene.yaml"
+    assert relative_path(tmp_path / "link" / "scene.yaml", tmp_path / "out") == "../link/scene.yaml"
 
 
 @pytest.mark.parametrize(

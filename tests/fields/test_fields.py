@@ -7,7 +7,7 @@ import tracemalloc
 import numpy as np
 import pytest
 
-from antdsl.fields.cells import FieldTooFine, SurfaceCells, compatible, facing
+from antdsl.fields.cells import FieldTooFine, SurfaceCells, are_compatible, facing_sides
 from antdsl.fields.pheromone import LARGEST_DEPOSIT, UNIT, PheromoneField
 from antdsl.scene.field_settings import largest_stable_diffusion
 from tests.meshes import Mesh, ball, box, grid, terrain
@@ -39,7 +39,7 @@ def test_every_point_of_a_surface_has_a_cell_around_it_that_faces_its_way(mesh, 
     points, normals = on_surface(mesh, 5000)
     cell_numbers = cells.lookup(points, normals)
     assert (cell_numbers >= 0).all()
-    assert np.array_equal(cells.side[cell_numbers], facing(normals))
+    assert np.array_equal(cells.side[cell_numbers], facing_sides(normals))
     assert np.abs(cells.position[cell_numbers] - points).max() < 1.6 * cell
     assert len(np.unique(cell_numbers)) <= len(cells) <= 3.2 * np.abs(points.max() - points.min() + cell) ** 2 * 6 / cell**2
 
@@ -101,20 +101,20 @@ def test_who_is_followed_is_looked_up_again_only_in_another_voxel(monkeypatch):
     monkeypatch.setattr(module, "_DENSE", 0)
     mesh, rng = ball(30, (3, 4, 5)), np.random.default_rng(2)
     cells, (points, normals) = SurfaceCells([mesh], 4.0), on_surface(mesh, 2000)
-    side, known = facing(normals), None
+    side, known = facing_sides(normals), None
     for step in range(8):
         points = points + rng.normal(0, 0.4, points.shape)
         points[step], points[10 * step] = np.nan, 1e9
         side = np.where(rng.random(2000) < 0.02, rng.integers(0, 6, 2000), side).astype(np.int8)
-        cell_numbers, known = cells.follow(points, side, known)
+        cell_numbers, known = cells.lookup_again(points, side, known)
         assert np.array_equal(cell_numbers, cells.lookup_sides(points, side))
     subset = np.flatnonzero(known.cell >= 0)[:7]
     original_cells, known.cell[subset] = known.cell[subset], (known.cell[subset] + 1) % len(cells)
-    again = cells.follow(points, side, known)[0]
+    again = cells.lookup_again(points, side, known)[0]
     assert np.array_equal(again[subset], (original_cells + 1) % len(cells))  # what is known of a voxel is not looked up again
     known.cell[subset] = original_cells
     rows = rng.permutation(2000)[:1500]
-    assert np.array_equal(cells.follow(points[rows], side[rows], known)[0], cell_numbers[rows])
+    assert np.array_equal(cells.lookup_again(points[rows], side[rows], known)[0], cell_numbers[rows])
 
 
 def test_the_nearest_are_those_of_a_plain_search():
@@ -178,7 +178,7 @@ def test_links_are_mutual_touching_and_hang_the_surface_together(mesh):
     links = cells.links
     own = np.repeat(np.arange(len(cells)), np.diff(links.start))
     assert {*zip(own.tolist(), links.cell.tolist(), strict=True)} == {*zip(links.cell.tolist(), own.tolist(), strict=True)}
-    assert (own != links.cell).all() and compatible(cells.side[own], cells.side[links.cell]).all()
+    assert (own != links.cell).all() and are_compatible(cells.side[own], cells.side[links.cell]).all()
     gap = np.linalg.norm(cells.position[own] - cells.position[links.cell], axis=1)
     assert gap.max() < 2.5 * 4.0
     graph = csr_array((np.ones(own.size), links.cell, links.start), shape=(len(cells), len(cells)))
@@ -325,7 +325,7 @@ def test_strongest_of_the_nearest_sixteen_against_plain_search():
     value, x, y, z = field.strongest(own)
     lattice = np.column_stack(np.unravel_index(cells._voxels, cells._size))
     for k, cell in enumerate(own):
-        near = np.flatnonzero((np.abs(lattice - lattice[cell]).max(axis=1) <= 1) & compatible(cells.side, cells.side[cell]))
+        near = np.flatnonzero((np.abs(lattice - lattice[cell]).max(axis=1) <= 1) & are_compatible(cells.side, cells.side[cell]))
         gap = ((cells.position[near] - cells.position[cell]) ** 2).sum(axis=1)
         near = np.sort(near[np.lexsort((near, gap))[:16]])
         best = near[np.argmax(field.values[near])]

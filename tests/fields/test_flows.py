@@ -10,7 +10,7 @@ import pytest
 from test_program import checked, complaints
 
 from antdsl import passes, plan
-from antdsl.fields.face_points import Lattice, cuts_for, welded
+from antdsl.fields.face_points import Lattice, count_cuts, weld_points
 from antdsl.plan.ir import Plan
 from antdsl.runtime import BindError, Options, bind, checkpoint, restore, set_flow, state_hash, step
 from antdsl.runtime.world import World
@@ -125,8 +125,8 @@ def test_what_is_linear_is_read_exactly_wherever_a_face_is_cut() -> None:
 
 
 def test_edges_are_cut_as_small_as_requested_and_points_at_one_place_are_one() -> None:
-    assert cuts_for(np.array([0.0, 1.0, 10.0, 33.0]), 8.0).tolist() == [1, 1, 2, 8]
-    point, count = welded(np.array([[0, 0, 0], [1, 0, 0], [1 + 1e-12, 0, 0], [1, 0, 0]], float), np.array([0, 0, 0, 1]))
+    assert count_cuts(np.array([0.0, 1.0, 10.0, 33.0]), 8.0).tolist() == [1, 1, 2, 8]
+    point, count = weld_points(np.array([[0, 0, 0], [1, 0, 0], [1 + 1e-12, 0, 0], [1, 0, 0]], float), np.array([0, 0, 0, 1]))
     assert count == 3 and point[1] == point[2] != point[3]
 
 

@@ -12,7 +12,7 @@ from test_program import checked, complaints
 from antdsl import passes, plan
 from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
 from antdsl.runtime.backends.native.backend import NativeBackend
-from antdsl.runtime.binding.start_findings import reaching
+from antdsl.runtime.binding.start_findings import count_reaching
 from antdsl.scene.setting import (
     BorderFlow,
     CrowdData,
@@ -101,7 +101,7 @@ def test_a_closed_wall_cuts_off_those_outside_on_every_backend(options: Options)
     if options.backend == "native":
         need_llvmlite()
     new_world = world(options=options)
-    assert reaching(new_world, "ant", "drift") == 9
+    assert count_reaching(new_world, "ant", "drift") == 9
     assert leads(new_world).tolist() == [1] * 9 + [0] * 9
     assert isinstance(new_world.backend, NativeBackend) == (options.backend == "native")
 
@@ -111,7 +111,7 @@ def test_without_agents_nothing_is_computed(options: Options) -> None:
     if options.backend == "native":
         need_llvmlite()
     new_world = world(options=options, count=0)
-    assert reaching(new_world, "ant", "drift") == 0 and len(leads(new_world)) == 0
+    assert count_reaching(new_world, "ant", "drift") == 0 and len(leads(new_world)) == 0
 
 
 def test_backends_agree_to_the_bit() -> None:
@@ -138,7 +138,7 @@ def test_those_who_are_cut_off_do_not_come_through_the_wall() -> None:
 @pytest.mark.parametrize(("door", "room", "reached"), [(40.0, 0.0, 18), (40.0, 60.0, 18), (0.0, 60.0, 9)])
 def test_a_door_leads_in_however_narrow_the_clearance_makes_it(door: float, room: float, reached: int) -> None:
     """`room` makes a path dear, and closes none."""
-    assert reaching(world(SolvedFlow(GOAL, clearance=room), door=door), "ant", "drift") == reached
+    assert count_reaching(world(SolvedFlow(GOAL, clearance=room), door=door), "ant", "drift") == reached
 
 
 def test_islands_and_targets_off_the_ground() -> None:
@@ -147,13 +147,13 @@ def test_islands_and_targets_off_the_ground() -> None:
     surfaces = {"ground": MeshData(*grid(400.0, 40)), "isle": isle}
     far_target = Target(np.array([[600.0, 0, 0]]), np.array([10.0]))
     island_setting = dict(surfaces=surfaces, obstacles={"rock": MeshData(*ball(5.0, (180, 0, 180)))})
-    assert reaching(world(SolvedFlow(far_target), **island_setting), "ant", "drift") == 0, "on another island"
-    assert reaching(world(SolvedFlow(GOAL), **island_setting), "ant", "drift") == 18
-    assert reaching(world(SolvedFlow(GOAL, on=("isle",)), **island_setting), "ant", "drift") == 0, (
+    assert count_reaching(world(SolvedFlow(far_target), **island_setting), "ant", "drift") == 0, "on another island"
+    assert count_reaching(world(SolvedFlow(GOAL), **island_setting), "ant", "drift") == 18
+    assert count_reaching(world(SolvedFlow(GOAL, on=("isle",)), **island_setting), "ant", "drift") == 0, (
         "they stand on no face of the flow"
     )
     off = Target(np.array([[-400.0, 0, 0]]), np.array([1.0]))
-    assert reaching(world(SolvedFlow(off)), "ant", "drift") == 9, "the ground nearest to it is its goal"
+    assert count_reaching(world(SolvedFlow(off)), "ant", "drift") == 9, "the ground nearest to it is its goal"
 
 
 @pytest.mark.parametrize(
@@ -168,7 +168,7 @@ def test_islands_and_targets_off_the_ground() -> None:
 )
 def test_of_other_flows_it_is_whether_they_are_anything_there(flow: FlowData, reached: int) -> None:
     new_world = world(flow)
-    assert reaching(new_world, "ant", "drift") == reached
+    assert count_reaching(new_world, "ant", "drift") == reached
     assert leads(new_world).sum() == reached
 
 

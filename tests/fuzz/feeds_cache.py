@@ -15,10 +15,10 @@ from zlib import crc32
 from cases.hostile.rows import GROUND
 from fuzz.oracle import Feed, Violation
 
-from antdsl.cli.exits import Stop
-from antdsl.cli.info import _verify, describe
+from antdsl.cli.exits import CommandError
+from antdsl.cli.info import _verify_cache, describe_cache
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
-from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, InTheWay, OtherHashes
+from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.exports import export_for
 from antdsl.outputs.gallery import Gallery, NoPicture
@@ -130,10 +130,10 @@ def _described(out: Path) -> list[str]:
     printed = io.StringIO()
     try:
         cache = open_cache(out)
-        lines = describe(cache)
+        lines = describe_cache(cache)
         with contextlib.redirect_stdout(printed):
-            _verify(cache)
-    except (*REFUSED, Stop) as why:
+            _verify_cache(cache)
+    except (*REFUSED, CommandError) as why:
         return [f"refused {why} {getattr(why, 'words', '')}"]
     return [*lines, printed.getvalue()]
 
@@ -160,6 +160,6 @@ def _resumed(shot: Shot, out: Path) -> list[str]:
         recording = begin(shot, out, OPTIONS, resume=True, force=False)
         for _ in record(recording):
             pass
-    except (DifferentInputs, OtherHashes, ForeignFolder, InTheWay, NothingToResume) as why:
+    except (DifferentInputs, DifferentHashes, ForeignFolder, PathBlocked, NothingToResume) as why:
         return [f"refused {why}"]
     return [*recording.notes, "resumed"]

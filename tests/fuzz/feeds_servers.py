@@ -21,10 +21,10 @@ from preview_served import Noted
 
 from antdsl.preview import live as live_module
 from antdsl.preview.live import Live
-from antdsl.preview.serving.addresses import Listening
+from antdsl.preview.serving.addresses import ListeningSockets
 from antdsl.preview.serving.guard import Guard
-from antdsl.preview.serving.pages import pages
-from antdsl.preview.serving.server import Refused, Server, read
+from antdsl.preview.serving.pages import load_pages
+from antdsl.preview.serving.server import RefusedRequest, Server, read_request
 from antdsl.runtime import Options
 
 TOKEN = "t" * 43
@@ -80,7 +80,7 @@ def feed_websocket(folder: Path) -> Feed:
     sock.listen()
     noted, errors = Noted(), _Errors()
     guard = Guard(frozenset({NAME}), TOKEN)
-    server = Server(noted, guard, pages(), Listening((sock,), guard.names, ()))
+    server = Server(noted, guard, load_pages(), ListeningSockets((sock,), guard.names, ()))
     loop = asyncio.new_event_loop()
     loop.set_exception_handler(lambda _, context: errors.add(context["exception"]) if "exception" in context else None)
     running = server.running()
@@ -185,13 +185,13 @@ def feed_page(folder: Path) -> Feed:
         page, errors = _Page(), io.StringIO()
         with redirect_stderr(errors):
             live = Live.open(folder / "scene.yaml", None, Options(backend="numpy"), watch=False)
-            live._do("join", page)
+            live._process("join", page)
             for line in data.split(b"\n")[:MESSAGES]:
-                request = read(line.decode("utf-8", "replace"))
-                if isinstance(request, Refused):
+                request = read_request(line.decode("utf-8", "replace"))
+                if isinstance(request, RefusedRequest):
                     page.tell(request.message_out())
                     continue
-                live._do(request, page)
+                live._process(request, page)
                 for _ in range(3):
                     live._advance(live.session)
                 live.screen.refresh(clock())

@@ -19,7 +19,7 @@ from antdsl.cli import _run as run_in_process
 from antdsl.graphs.drawing import draw
 from antdsl.graphs.layout import NAME_SIZE, WORD_SIZE, lay_out
 from antdsl.graphs.letters import width
-from antdsl.graphs.model import Chart, Placed, PlacedChart
+from antdsl.graphs.model import Chart, PlacedBox, PlacedChart
 
 ROOT = Path(__file__).resolve().parents[2]
 FORAGER = ROOT / "examples" / "foraging" / "forager.ant"
@@ -141,7 +141,7 @@ def machine(states: int, seed: int) -> str:
     return "\n".join([*lines, "  layers { state }", "}", ""])
 
 
-def touch(one: Placed, other: Placed) -> bool:
+def touch(one: PlacedBox, other: PlacedBox) -> bool:
     return (
         abs(one.centre[0] - other.centre[0]) < (one.width + other.width) / 2
         and abs(one.centre[1] - other.centre[1]) < (one.height + other.height) / 2
@@ -164,12 +164,12 @@ def assert_can_be_read(chart: PlacedChart) -> None:
         assert bool(arrow.words) == bool(arrow.arrow.lines)
         for point, key in ((arrow.points[0], arrow.arrow.source), (arrow.points[-1], arrow.arrow.target)):
             place = where[key]
-            assert touch(place, Placed(point, 2, 2)), (arrow.arrow, point, place)
+            assert touch(place, PlacedBox(point, 2, 2)), (arrow.arrow, point, place)
         if arrow.words is not None:
             assert max(width(line, WORD_SIZE) for line in arrow.lines) < arrow.words.width
-            near = Placed(arrow.words.centre, arrow.words.width + 8, arrow.words.height + 8)
+            near = PlacedBox(arrow.words.centre, arrow.words.width + 8, arrow.words.height + 8)
             assert any(
-                touch(near, Placed(((a[0] + b[0]) / 2, (a[1] + b[1]) / 2), abs(a[0] - b[0]) + 1, abs(a[1] - b[1]) + 1))
+                touch(near, PlacedBox(((a[0] + b[0]) / 2, (a[1] + b[1]) / 2), abs(a[0] - b[0]) + 1, abs(a[1] - b[1]) + 1))
                 for a, b in zip(arrow.points, arrow.points[1:], strict=False)
             ), "words far from their arrow"
 
@@ -177,7 +177,7 @@ def assert_can_be_read(chart: PlacedChart) -> None:
 def crossed(chart: PlacedChart) -> int:
     """How many lines pass below words of others."""
     return sum(
-        touch(arrow.words, Placed(((a[0] + b[0]) / 2, (a[1] + b[1]) / 2), abs(a[0] - b[0]), abs(a[1] - b[1])))
+        touch(arrow.words, PlacedBox(((a[0] + b[0]) / 2, (a[1] + b[1]) / 2), abs(a[0] - b[0]), abs(a[1] - b[1])))
         for arrow in chart.arrows
         if arrow.words is not None
         for other in chart.arrows
@@ -373,9 +373,9 @@ def test_without_the_extra_pictures_name_it_and_texts_are_written(
 
 def test_pillows_own_letters_have_what_they_are_taken_for() -> None:
     """A sign that a font does not have is drawn like one that no font has."""
-    from antdsl.graphs.letters import _OWN, _built_in
+    from antdsl.graphs.letters import _OWN, _built_in_font
 
-    letters = _built_in(20)
+    letters = _built_in_font(20)
     nothing = bytes(letters.getmask("\uffff"))
     for sign in [*_OWN, *(chr(code) for code in range(33, 127))]:
         assert bytes(letters.getmask(sign)) != nothing, sign

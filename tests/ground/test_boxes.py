@@ -8,7 +8,7 @@ from meshes import ball, terrain
 from numpy.typing import NDArray
 from open_shapes import joined, soup
 
-from antdsl.ground.mesh.boxes import Boxes, FaceList, first_of, gather
+from antdsl.ground.mesh.boxes import Boxes, FaceList, first_hit, gather_faces
 from antdsl.ground.mesh.surface import MeshGround
 
 Floats = NDArray[np.float64]
@@ -38,8 +38,8 @@ def first_met(ground: MeshGround, origin: Floats, step: Floats, face: int, piece
     face_list = FaceList(np.empty(len(table.live), np.int64), 0)
     one, displacement = tuple(origin.tolist()), tuple(step.tolist())
     with np.errstate(all="ignore"):
-        count = gather(table.piece, boxes, one, tuple((origin + step).tolist()), 0.01, face, piece, face_list)
-        hit = first_of(ground._walk().packed, boxes, face_list, count, one, displacement, 1e-6)
+        count = gather_faces(table.piece, boxes, one, tuple((origin + step).tolist()), 0.01, face, piece, face_list)
+        hit = first_hit(ground._walk().packed, boxes, face_list, count, one, displacement, 1e-6)
     return hit.face, hit.part, *hit.weights
 
 
@@ -87,11 +87,11 @@ def test_refitted_boxes_are_those_that_are_built_afresh() -> None:
     held = np.isin(faces, loose).any(axis=1)
     boxes = Boxes.of(vertices, faces, live, held.astype(np.int32))
     fresh = Boxes.of(moved_vertices, faces, live, held.astype(np.int32))
-    boxes.fit(moved_vertices, faces, int((~held[live]).sum()))
+    boxes.refit(moved_vertices, faces, int((~held[live]).sum()))
     moved, corners = moved_vertices[faces], faces
     low = rng.uniform(-15, 30, (3, 50))
     for high in (low + 0.1, low + 8.0):
-        pairs = [np.sort(ray * len(corners) + face) for ray, face in (b.near(low, high) for b in (boxes, fresh))]
+        pairs = [np.sort(ray * len(corners) + face) for ray, face in (b.overlapping_pairs(low, high) for b in (boxes, fresh))]
         beside = (moved.min(axis=1)[:, None] <= high.T).all(axis=2) & (moved.max(axis=1)[:, None] >= low.T).all(axis=2)
         moved_vertices, ray = np.nonzero(beside & ground.triangles[3].live[:, None])
         assert np.array_equal(pairs[0], pairs[1]) and np.array_equal(pairs[0], np.sort(ray * len(corners) + moved_vertices))

@@ -192,7 +192,7 @@ def test_a_crowd_on_all_sorts_of_ground_is_never_lost():
     rng = np.random.default_rng(8)
     n = 400
     footing, _ = ground.place(rng.uniform(-150, 150, (n, 3)), UP)
-    at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.upright(footing, UP), 4.0)
+    at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.upright_normals(footing, UP), 4.0)
     for k in range(100):
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (n, 1))
         previous_move = at
@@ -210,7 +210,7 @@ def test_same_bits_in_any_batch_order_and_thread_count():
     n = 1500
     rng = np.random.default_rng(9)
     footing, _ = ground.place(rng.uniform(-60, 60, (n, 3)), UP)
-    at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.upright(footing, UP), 4.0)
+    at = ground.move(footing, np.zeros((n, 3)), rng.normal(size=(n, 3)), ground.upright_normals(footing, UP), 4.0)
     order = rng.permutation(n)
     one = step(ground, at, 3.0)
     two = ground.move(at.footing.take(order), at.heading[order] * 3.0, at.heading[order], at.up[order], 4.0, threads=2)
@@ -242,13 +242,13 @@ def test_the_smooth_normal_is_steady_on_a_ball_and_flat_on_a_cube():
     footing, _ = ground.nearest(points)
     place = ground.position(footing)
     out = place / np.linalg.norm(place, axis=1, keepdims=True)
-    smooth = ground.upright(footing, out)
+    smooth = ground.upright_normals(footing, out)
     assert np.degrees(np.arccos((smooth * out).sum(axis=1).clip(-1, 1))).max() < 1.5
     assert np.degrees(np.arccos((ground.normal(footing) * out).sum(axis=1).clip(-1, 1))).max() > 3
-    assert np.array_equal(ground.upright(footing, -out), -smooth)
+    assert np.array_equal(ground.upright_normals(footing, -out), -smooth)
     cube = MeshGround({"cube": box((-1, -1, -1), (1, 1, 1))})
     footing, _ = cube.nearest(np.array([[0.99, 1.5, 0.99]]))
-    assert np.allclose(cube.upright(footing, UP), [[0, 1, 0]])
+    assert np.allclose(cube.upright_normals(footing, UP), [[0, 1, 0]])
 
 
 @pytest.mark.parametrize("middle", [-11.0, -5.0, 3.0, 13.0])
@@ -260,7 +260,7 @@ def test_no_agent_slips_under_the_ground_or_into_a_boulder_however_deep_it_is_su
     turn, rim = rng.uniform(0, 2 * np.pi, n), np.sqrt(225 - middle**2)
     out = rim + rng.uniform(2, 8, n)
     footing, _ = ground.place(np.stack([out * np.cos(turn), 0 * out, out * np.sin(turn)], axis=1), UP, on=["ground"])
-    at = ground.move(footing, np.zeros((n, 3)), -ground.position(footing), ground.upright(footing, UP), 4.0)
+    at = ground.move(footing, np.zeros((n, 3)), -ground.position(footing), ground.upright_normals(footing, UP), 4.0)
     boulder_before, climbs = np.zeros(n, bool), 0
     for _ in range(120):
         home = -at.position * np.array([1, 0, 1]) * (np.linalg.norm(at.position, axis=1, keepdims=True) > rim + 8)
@@ -301,7 +301,7 @@ def test_every_ground_has_the_same_doors() -> None:
     for ground in (plane, still, moving, both):
         dropped, is_placed = ground.place(positions, UP)
         near, distance = ground.nearest(positions)
-        footing = Footing.joined(ground.nowhere(0), dropped, near)
+        footing = Footing.concatenate(ground.nowhere(0), dropped, near)
         assert is_placed.all() and distance.shape == (2,) and len(footing) == 4
         assert footing.columns.keys() == ground.nowhere(3).columns.keys() and len(ground.nowhere(3)) == 3
         assert {name: column.dtype for name, column in footing.columns.items()} == {
@@ -309,7 +309,7 @@ def test_every_ground_has_the_same_doors() -> None:
         }
         at = ground.position(footing)
         assert at.shape == (4, 3) and ground.normal(footing).shape == (4, 3) and (ground.sides(footing) == 2).all()
-        assert np.allclose(ground.upright(footing, UP), UP)
+        assert np.allclose(ground.upright_normals(footing, UP), UP)
         moved = ground.move(footing, np.full((4, 3), (1.0, 0.0, 0.0)), np.full((4, 3), (1.0, 0.0, 0.0)), np.tile(UP, (4, 1)), 4.0)
         assert np.allclose(moved.position - at, (1.0, 0.0, 0.0)) and not moved.lost.any()
         footing.put(np.array([0, 1]), moved.footing.take(np.array([2, 3])))

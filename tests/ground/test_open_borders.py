@@ -11,7 +11,7 @@ from antdsl.bench.cases import case_of
 from antdsl.ground.mesh import open_borders as module
 from antdsl.ground.mesh import walk_events
 from antdsl.ground.mesh.face_table import EDGES, LINK, OPEN, WIDTH, mark_open
-from antdsl.ground.mesh.open_borders import open_borders
+from antdsl.ground.mesh.open_borders import find_open_borders
 from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.moving import MovingGround
@@ -54,7 +54,7 @@ GROUNDS = {
 
 
 def find_borders(ground: MeshGround, widest: float = BODY) -> np.ndarray:
-    return open_borders(ground._table, ground._boxes, ground._scale, widest)
+    return find_open_borders(ground._table, ground._boxes, ground._scale, widest)
 
 
 @pytest.mark.parametrize("name", GROUNDS)
@@ -107,7 +107,7 @@ def test_no_more_pairs_are_looked_at_than_pay(monkeypatch: pytest.MonkeyPatch) -
     assert 0 < len(find_borders(ground, 30.0)) < 36
 
 
-def marked(walk: walk_events.Walk) -> int:
+def marked(walk: walk_events.WalkTables) -> int:
     return int(np.count_nonzero(walk.packed.reshape(-1, WIDTH)[:, EDGES + LINK : EDGES + 12 : 4] == OPEN))
 
 
@@ -119,7 +119,7 @@ def test_marks_are_for_the_widest_of_a_crowd_and_go_where_a_mesh_moves() -> None
     moving = MovingGround(GROUNDS["a sheet far below"], ("other",))
     walk = moving.crowd_walk(1.0, 4.0)
     assert walk is not None and marked(walk.walk) == 8
-    moving.pose({"other": GROUNDS["a sheet far below"]["other"][0] + np.array([0, 8.5, 0])})
+    moving.pose_meshes({"other": GROUNDS["a sheet far below"]["other"][0] + np.array([0, 8.5, 0])})
     assert not marked(walk.walk)
     moving.crowd_walk(1.0, 8.0)
     assert not marked(walk.walk)
@@ -132,7 +132,7 @@ def bound(size: int) -> World:
 
 def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.MonkeyPatch) -> None:
     waiting: list[int] = []
-    monkeypatch.setattr(walk_events.CrowdWalk, "on", looked_at(walk_events.CrowdWalk.on, waiting))
+    monkeypatch.setattr(walk_events.CrowdWalk, "continue_waiting", looked_at(walk_events.CrowdWalk.continue_waiting, waiting))
     populations = []
     for marks in (True, False):
         world = bound(300)
@@ -154,7 +154,7 @@ def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.Monke
 
 
 def looked_at(on, waiting: list[int]):
-    def counted(self: walk_events.CrowdWalk, batch: walk_events.Waiting, *rest):
+    def counted(self: walk_events.CrowdWalk, batch: walk_events.WaitingAgents, *rest):
         waiting.append(batch.wholes.shape[1])
         return on(self, batch, *rest)
 

@@ -8,8 +8,8 @@ import meshes
 import numpy as np
 import pytest
 
-from antdsl.ground.solid import Unusable, Volume, trilinear
-from antdsl.ground.solid.bricks import MASK64, filling, mixed
+from antdsl.ground.solid import UnusableMesh, Volume, trilinear
+from antdsl.ground.solid.bricks import MASK64, fill_steps, hash_nodes
 from antdsl.ground.solid_feelers import SolidFeelers
 
 Dig = tuple[np.ndarray, np.ndarray, np.ndarray]
@@ -125,7 +125,7 @@ def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> No
         distance += share.prod(axis=1) * value
         for axis in range(3):
             gradient[axis] += (2 * corner[axis] - 1) * np.delete(share, axis, axis=1).prod(axis=1) * value / voxel
-    values, *slope = trilinear.field(solid.bricks, *points.T)
+    values, *slope = trilinear.distance_and_gradient(solid.bricks, *points.T)
     assert np.abs(values - distance).max() < 1e-12 and np.array_equal(values.astype(np.float32), solid.sample(points))
     inner = ~(np.abs(at - np.round(at)) < 1e-9).any(axis=1)  # at nodes the slope is that of either side
     assert np.abs(np.stack(slope) - gradient)[:, inner].max() < 1e-10 and inner.sum() > 10_000
@@ -134,7 +134,7 @@ def test_the_field_between_nodes_is_a_weighted_mean_of_eight(voxel: float) -> No
     rim = solid.bricks.origin + np.array([[0, 0, 0], [0, 0, 0], [count[0] - 1, *(-solid.bricks.origin[1:] / voxel)]]) * voxel
     assert np.array_equal(trilinear.distance(solid.bricks, *far.T), trilinear.distance(solid.bricks, *rim.T))
     none = np.empty((3, 0))
-    assert [len(each) for each in trilinear.field(solid.bricks, *none)] == [0] * 4
+    assert [len(each) for each in trilinear.distance_and_gradient(solid.bricks, *none)] == [0] * 4
 
 
 def test_a_cavity_a_shell_turned_inside_out_and_overlapping_balls_have_the_right_inside() -> None:
@@ -158,25 +158,25 @@ def test_faces_wound_in_disorder_make_the_same_solid() -> None:
 @pytest.mark.parametrize("voxel", [0.0, -1.0, float("nan"), 1e-6])
 def test_a_voxel_that_cannot_be_is_refused_before_memory_is_taken(voxel: float) -> None:
     problem = Volume.from_mesh(*meshes.ball(12.0), voxel)
-    assert isinstance(problem, Unusable) and problem.help
+    assert isinstance(problem, UnusableMesh) and problem.help
 
 
 def test_too_many_voxels_name_a_size_that_will_do() -> None:
     problem = Volume.from_mesh(*meshes.ball(12.0), 0.5, cap=10_000)
-    assert isinstance(problem, Unusable) and "more than 10,000" in problem.message
+    assert isinstance(problem, UnusableMesh) and "more than 10,000" in problem.message
     size = float(problem.help.split("voxel: ")[1].split(" mm")[0])
     assert isinstance(Volume.from_mesh(*meshes.ball(12.0), size, cap=10_000), Volume)
 
 
 @pytest.mark.parametrize("mesh", [(np.zeros((0, 3)), np.zeros((0, 3), int)), (np.full((3, 3), np.nan), np.array([[0, 1, 2]]))])
 def test_meshes_without_sense_are_no_solids(mesh: meshes.Mesh) -> None:
-    assert isinstance(Volume.from_mesh(*mesh, 1.0), Unusable)
+    assert isinstance(Volume.from_mesh(*mesh, 1.0), UnusableMesh)
 
 
 def test_an_open_mesh_is_no_solid() -> None:
     vertices, faces = meshes.ball(12.0)
     problem = Volume.from_mesh(vertices, faces[:-1], 1.0)
-    assert isinstance(problem, Unusable) and "3 edges" in problem.message
+    assert isinstance(problem, UnusableMesh) and "3 edges" in problem.message
 
 
 # ---- digging
@@ -252,7 +252,7 @@ def test_digging_is_that_of_every_ball_at_every_node(voxel: float) -> None:
             values[row] = np.minimum(brush, np.float32(solid.bricks.most))
         new_distances, first = np.maximum(old_distances, values.max(axis=0)), values.argmax(axis=0)
         assert np.array_equal(solid.bricks.dense().ravel(), new_distances)
-        lost = filling(old_distances, voxel) - filling(new_distances, voxel)
+        lost = fill_steps(old_distances, voxel) - fill_steps(new_distances, voxel)
         expected = np.zeros(len(order))
         expected[order] = (
             np.bincount(first, np.where(new_distances > old_distances, lost, 0), len(order)) * solid.bricks.step_volume
@@ -261,7 +261,7 @@ def test_digging_is_that_of_every_ball_at_every_node(voxel: float) -> None:
         i, j, k = np.unravel_index(np.arange(len(points)), solid.bricks.nodes)
         brick = ((i >> 4) * solid.bricks.shape[1] + (j >> 4)) * solid.bricks.shape[2] + (k >> 4)
         number = (brick << 12) + ((i & 15) << 8) + ((j & 15) << 4) + (k & 15)
-        change = (mixed(number, new_distances) - mixed(number, old_distances)).sum(dtype=np.uint64)
+        change = (hash_nodes(number, new_distances) - hash_nodes(number, old_distances)).sum(dtype=np.uint64)
         assert solid.bricks.mark == (mark + int(change)) & MASK64
 
 
@@ -329,9 +329,9 @@ def test_a_ray_without_measure_ends_where_nothing_solid_is_left() -> None:
     feelers = SolidFeelers(ball())
     start, directions = 30 * random_directions(200, 4), -random_directions(200, 4) + 0.6 * random_directions(200, 5)
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    short, endless = (feelers.feelers(*start.T, *directions.T, reach) for reach in (90.0, 3e38))
+    short, endless = (feelers.cast_feelers(*start.T, *directions.T, reach) for reach in (90.0, 3e38))
     assert 50 < short.hit.sum() < 200
     for name in ("hit", "t", "nx", "ny", "nz"):
         assert np.array_equal(getattr(short, name), getattr(endless, name))
-    far = feelers.feelers(*np.array([[1e6, 0, 0], [1e6, 90, 0]]).T, *np.array([[-1.0, 0, 0]] * 2).T, 3e38)
+    far = feelers.cast_feelers(*np.array([[1e6, 0, 0], [1e6, 90, 0]]).T, *np.array([[-1.0, 0, 0]] * 2).T, 3e38)
     assert far.hit.tolist() == [True, False] and abs(far.t[0] - (1e6 - 12)) < 0.5

@@ -128,7 +128,7 @@ def test_each_step_beside_a_mesh_that_moves_is_that_against_all_faces() -> None:
     ground, rng = MovingGround(meshes, ["stone"]), np.random.default_rng(16)
     at, blocked, carried = crowd(ground, rng, 4 * FEW), 0, 0
     for frame in range(6):
-        ground.pose({"stone": meshes["stone"][0] + np.array([1.5 * frame, 0.1 * frame, 0])})
+        ground.pose_meshes({"stone": meshes["stone"][0] + np.array([1.5 * frame, 0.1 * frame, 0])})
         at = replace(at, position=ground.position(at.footing))
         wish, body = at.heading * 1.1, rng.uniform(0, 5, 4 * FEW)
         assert differing(ground, at, wish, at.heading, body) == 0
@@ -199,8 +199,8 @@ def test_how_far_agents_look_out_is_their_longest_way_and_widest_body() -> None:
         with np.errstate(all="ignore"):
             square = wish[0] * wish[0] + wish[1] * wish[1] + wish[2] * wish[2]
         most = np.sqrt(square[square < np.inf].max(initial=0.0))
-        assert ground._reach(wish, body) == most + LIFT * np.nanmax(body) + 3 * ground._scale.noise
-    assert np.isnan(ground._reach(np.ones((3, 2)), np.full(2, np.nan)))
+        assert ground._search_reach(wish, body) == most + LIFT * np.nanmax(body) + 3 * ground._scale.noise
+    assert np.isnan(ground._search_reach(np.ones((3, 2)), np.full(2, np.nan)))
 
 
 @pytest.mark.parametrize("name", ["boulders", "loose sheets", "tiles and a fan of slivers"])
@@ -209,7 +209,7 @@ def test_clearances_are_below_the_distance_to_other_pieces(name: str) -> None:
     rng = np.random.default_rng(7)
     corners = ground._vertices[ground._faces]
     for reach in (0.5, 3.0):
-        parts = ground._clearances.within(reach)
+        parts = ground._clearances.parts_within(reach)
         assert parts.reach >= reach
         face = rng.integers(0, len(corners), 2000)
         b1 = rng.random(2000)
@@ -246,7 +246,7 @@ def test_places_and_sides_of_footings_are_those_of_their_corners(name: str) -> N
     if name == "a mesh that moves":
         stone = ball(14, (8, 4, 3), 9)
         ground: MeshGround = MovingGround({"stone": stone, "floor": grid(60, 9)}, ["stone"])
-        ground.pose({"stone": stone[0] * 1.25 + np.array([3.0, 0.1, -0.0])})  # type: ignore[attr-defined]
+        ground.pose_meshes({"stone": stone[0] * 1.25 + np.array([3.0, 0.1, -0.0])})  # type: ignore[attr-defined]
     else:
         ground = MeshGround(GROUNDS[name]())
     footing = crowd(ground, rng).footing

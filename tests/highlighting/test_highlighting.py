@@ -18,9 +18,9 @@ from antdsl.diagnostics.model import Report
 from antdsl.highlighting.patterns import CLASSES, PATTERNS
 from antdsl.highlighting.textmate import FILES, SCOPE, grammar_text, scope
 from antdsl.source import Source
-from antdsl.syntax.blocks import Line, cut, lookup
-from antdsl.syntax.brackets import pair
-from antdsl.syntax.parser import _tools
+from antdsl.syntax.blocks import Line, cut_lines, map_text
+from antdsl.syntax.brackets import pair_brackets
+from antdsl.syntax.parser import _load_tools
 from antdsl.syntax.scan import Scan, scan
 from antdsl.syntax.words import BODIES
 
@@ -45,21 +45,21 @@ SEEN_AS = {
 def real(path: Path) -> Cut:
     """The tokens as the parser's own lexer has them, keywords told from names by what may stand at the place."""
     scanned = scan(Source(path.name, path.read_text(encoding="utf-8")), Report())
-    tokens = pair(scanned)
+    tokens = pair_brackets(scanned)
     assert tokens is not None
     kinds = {"text": "string", "number": "number", "sign": "operator", "open": "operator", "close": "operator", "word": "name"}
     spans = [(t.start, t.end, kinds[t.kind]) for t in scanned.tokens if t.kind in kinds]
     spans += [(t.start, t.end, "operator") for t in scanned.tokens if t.kind == "end" and scanned.clean[t.start] == ";"]
     spans += [(comment.span.start, comment.span.end, "comment") for comment in scanned.comments]
-    keywords = set(keyword_places(scanned, cut(scanned, tokens), "top"))
+    keywords = set(keyword_places(scanned, cut_lines(scanned, tokens), "top"))
     return sorted((start, end, "keyword" if start in keywords else kind) for start, end, kind in spans)
 
 
 def keyword_places(scanned: Scan, lines: list[Line], rule: str) -> Iterator[int]:
     """Where words begin that the parser took for keywords."""
-    parser, builder = _tools()
+    parser, builder = _load_tools()
     for line in lines:
-        text = lookup(scanned, line)
+        text = map_text(scanned, line)
         first = text.text.split()[0]
         builder.place, builder.bodies = text, {}
         for group in line.groups:
@@ -71,7 +71,7 @@ def keyword_places(scanned: Scan, lines: list[Line], rule: str) -> Iterator[int]
             continue  # the help of the file
         for token in interactive.iter_parse():
             if token.type not in ("NAME", "LABEL") and token.value[0].isalpha():
-                yield text.offset(token.start_pos)
+                yield text.source_offset(token.start_pos)
 
 
 def compare(path: Path, coloured: Cut) -> None:

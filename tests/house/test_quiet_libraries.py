@@ -12,7 +12,7 @@ import pytest
 from children import child_environment
 
 from antdsl.cli.doctor import EXTRAS
-from antdsl.cli.run import at_once
+from antdsl.cli.run import choose_threads
 
 ROOT = Path(__file__).resolve().parents[2]
 FOR_DEVELOPERS = {"test", "quality"}
@@ -49,10 +49,10 @@ def test_more_threads_than_cores_are_not_started_and_that_is_reported(
 ) -> None:
     """Embree's scheduler writes to the terminal where it is asked for more workers than there are cores."""
     monkeypatch.setattr("antdsl.cli.run.cores", lambda: there)
-    assert at_once(asked) == taken
+    assert choose_threads(asked) == taken
     said = capsys.readouterr().err
     assert told in said and bool(said) == bool(told)
-    assert at_once(asked, quiet=True) == taken and not capsys.readouterr().err
+    assert choose_threads(asked, quiet=True) == taken and not capsys.readouterr().err
 
 
 def test_every_command_with_threads_takes_no_more_than_there_are_cores() -> None:

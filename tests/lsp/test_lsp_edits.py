@@ -11,15 +11,15 @@ from sampling import sampled
 
 from antdsl import syntax
 from antdsl.diagnostics import Diagnostic, Report
-from antdsl.diagnostics.ignoring import judged
+from antdsl.diagnostics.ignoring import apply_ignores
 from antdsl.lsp.text import Text
 from antdsl.lsp.workspace import Workspace
 from antdsl.pipeline import compile_files
 from antdsl.program.names.bindings import Bindings
-from antdsl.program.traverse import written
+from antdsl.program.traverse import written_nodes
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes
-from antdsl.syntax.parts import Parts, cuts
+from antdsl.syntax.parts import IncrementalParser, cut_blocks
 
 ROOT = Path(__file__).resolve().parents[2]
 LIBRARY = {
@@ -52,7 +52,7 @@ def bound(file: nodes.File, bindings: Bindings) -> set[tuple[object, ...]]:
         file_span = file.file_span(span)
         return file_span.source.path, file_span.start, file_span.end
 
-    written_there = {place(node.span) for node, _ in written(file.items) if isinstance(node, nodes.Name)}
+    written_there = {place(node.span) for node, _ in written_nodes(file.items) if isinstance(node, nodes.Name)}
     return {
         (place(span), place(key) if isinstance(key, Span) else key)
         for span, key in bindings.uses
@@ -67,7 +67,7 @@ def check_afresh(path: Path, text: str) -> tuple[list[tuple[object, ...]], set[t
     program, report = compile_files([path], parsed={**LIBRARY, str(path): parsed})
     own = [d for d in report.diagnostics if d.span is None or d.span.source.path == str(path)]
     assert program is not None
-    return said(judged(Report(own), [source]).diagnostics), bound(parsed[0], program.bindings)
+    return said(apply_ignores(Report(own), [source]).diagnostics), bound(parsed[0], program.bindings)
 
 
 def in_parts(workspace: Workspace, path: Path) -> tuple[list[tuple[object, ...]], set[tuple[object, ...]]]:
@@ -120,7 +120,7 @@ def test_parts_say_what_the_whole_says_after_many_edits(path: Path, seed: int) -
 
 def test_only_what_changed_is_parsed_again() -> None:
     text = (ROOT / "examples" / "foraging" / "forager.ant").read_text(encoding="utf-8")
-    parts = Parts()
+    parts = IncrementalParser()
     first, _ = parts.parse(Source("x.ant", text))
     again, report = parts.parse(Source("x.ant", text.replace("held 0.5 s", "held 0.7 s", 1)))
     assert report.ok and len(first.parts) > 10
@@ -130,7 +130,7 @@ def test_only_what_changed_is_parsed_again() -> None:
 def test_blocks_are_whole_lines_in_order() -> None:
     for path in EXAMPLES:
         text = path.read_text(encoding="utf-8")
-        blocks = cuts(text)
+        blocks = cut_blocks(text)
         assert blocks is not None and len(blocks) > 3, path
         assert all(a.end <= b.start for a, b in pairwise(blocks))
         assert all(text[cut.start - 1 : cut.start] in ("", "\n") for cut in blocks)
@@ -142,11 +142,13 @@ def test_nodes_in_parts_have_their_places_in_the_whole() -> None:
     for path in EXAMPLES:
         source = Source(str(path), path.read_text(encoding="utf-8"))
         plain, _ = syntax.parse(source)
-        parted, _ = Parts().parse(source)
+        parted, _ = IncrementalParser().parse(source)
         assert parted.parts, path
 
         def names(file: nodes.File) -> list[tuple[str, int, int]]:
-            spans = [(node.text, file.file_span(node.span)) for node, _ in written(file.items) if isinstance(node, nodes.Name)]
+            spans = [
+                (node.text, file.file_span(node.span)) for node, _ in written_nodes(file.items) if isinstance(node, nodes.Name)
+            ]
             return [(text, span.start, span.end) for text, span in spans]
 
         assert names(plain) == names(parted), path

@@ -12,7 +12,7 @@ import pytest
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, U64, Array1, Array2, Strided2, calling, direct, kernel
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="no llvmlite")
+pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no llvmlite")
 
 
 @kernel
@@ -53,7 +53,7 @@ def otherwise(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     monkeypatch.setattr(calling, "_plain", counted)
     for each in (read, written, last):
         monkeypatch.setattr(each, "_run", None)
-        monkeypatch.setattr(each, "__call__", each._first)
+        monkeypatch.setattr(each, "__call__", each._first_call)
     return calls
 
 
@@ -117,7 +117,7 @@ def test_without_it_python_calls_with_the_same_results(monkeypatch: pytest.Monke
     monkeypatch.setattr(direct, "possible", lambda: False)
     for each in (read, last):
         monkeypatch.setattr(each, "_run", None)
-        monkeypatch.setattr(each, "__call__", each._first)
+        monkeypatch.setattr(each, "__call__", each._first_call)
     assert read(*_GOOD[0]) == (1.5, 2.5, 3, 4, True, 7.5, 8.5, 9)
     assert last(np.arange(5)) == 4
 

@@ -31,11 +31,11 @@ from antdsl.machine_code.kernels import (
 from antdsl.machine_code.kernels.interpret import interpret
 from antdsl.machine_code.kernels.ir import InvalidCode, verify
 from antdsl.machine_code.kernels.kernel import Kernel, text_of
-from antdsl.machine_code.kernels.side_by_side import written
+from antdsl.machine_code.kernels.side_by_side import write_function
 from antdsl.machine_code.kernels.units import Unit
 from antdsl.machine_code.kernels.values import Number
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code can be process here")
+pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be process here")
 LEAST, MOST = -(2**63), 2**63 - 1
 
 
@@ -264,7 +264,7 @@ def usual(a: Array1[F64], x: F32, begin: I64, end: I64) -> F64:
 
 def test_the_verifier_finds_instructions_that_do_not_fit() -> None:
     unit = Unit()
-    name, _ = written(unit, quotient.part, [Number("i64", "%x"), Number("i64", "%y")])
+    name, _ = write_function(unit, quotient.part, [Number("i64", "%x"), Number("i64", "%y")])
     (function,) = unit.functions
     verify(unit.functions)
     assert name == function.name
@@ -344,9 +344,9 @@ def test_a_checked_build_raises_errors_with_file_and_line(tmp_path: Path) -> Non
 def test_checked_code_has_a_key_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     from antdsl.machine_code.kernels import sources
 
-    previous = usual.named(machine.ANY)
+    previous = usual.text_key(machine.ANY)
     monkeypatch.setattr(sources, "CHECKED", not sources.CHECKED)
-    assert usual.named(machine.ANY) != previous
+    assert usual.text_key(machine.ANY) != previous
     assert text_of([usual], machine.ANY, checked=True) != text_of([usual], machine.ANY, checked=False)
 
 

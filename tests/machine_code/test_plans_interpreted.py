@@ -12,7 +12,7 @@ from compilers import need_llvmlite
 
 from antdsl.machine_code import lanes, machine
 from antdsl.machine_code.kernels import rendering
-from antdsl.machine_code.kernels.interpret import interpreted
+from antdsl.machine_code.kernels.interpret import interpreted_function
 from antdsl.machine_code.kernels.ir import Function
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.runtime.backends.native import ready
@@ -28,7 +28,7 @@ class Interpreted:
     functions: list[Function]
 
     def function(self, name: str) -> Any:
-        return interpreted(self.functions, f"@{name}.inside")
+        return interpreted_function(self.functions, f"@{name}.inside")
 
 
 @pytest.mark.parametrize("avx2", [True, False])

@@ -7,12 +7,12 @@ import re
 import pytest
 from compilers import need_llvmlite
 
-from antdsl.fields.pheromone import stepped
+from antdsl.fields.pheromone import step_cells
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.numerics.elementary_loops import cosines
-from antdsl.runtime.moving.strides import set_out
-from antdsl.runtime.moving.velocities import arrive
+from antdsl.runtime.moving.strides import prepare_steps
+from antdsl.runtime.moving.velocities import arrive_rows
 
 TARGET = machine.Target("nvptx64-nvidia-cuda", "sm_90", "")
 
@@ -26,7 +26,7 @@ def ptx_of(kernel: Kernel) -> str:
         pytest.skip(f"llvmlite is made without PTX: {problem}")
 
 
-@pytest.mark.parametrize("kernel", [cosines, set_out, arrive], ids=lambda kernel: kernel.__name__)
+@pytest.mark.parametrize("kernel", [cosines, prepare_steps, arrive_rows], ids=lambda kernel: kernel.__name__)
 def test_a_kernel_becomes_ptx_without_fused_operations(kernel: Kernel) -> None:
     operations = set(re.findall(r"\b((?:fma|mad|add|sub|mul|div|sqrt)\.[a-z.]*f(?:32|64))\b", ptx_of(kernel)))
     assert operations, "it calculates"
@@ -35,6 +35,6 @@ def test_a_kernel_becomes_ptx_without_fused_operations(kernel: Kernel) -> None:
 
 def test_numbers_are_read_and_stored_whole() -> None:
     # byte by byte they are where nothing is known of how arrays lie, and an H100 was seen to lose lowest bytes then
-    moved = set(re.findall(r"\b(?:ld|st)\.(?:v\d\.)?[a-z]\d+", ptx_of(stepped)))
+    moved = set(re.findall(r"\b(?:ld|st)\.(?:v\d\.)?[a-z]\d+", ptx_of(step_cells)))
     assert {"ld.b64", "st.b64"} <= moved
     assert not any(each.endswith(("8", "16")) for each in moved)

@@ -9,7 +9,7 @@ from random_kernels import compare, equal, inputs
 
 from antdsl.machine_code import machine, shipped
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code can be made here")
+pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be made here")
 
 
 def test_random_kernels_give_the_same_bits_interpreted_and_compiled() -> None:

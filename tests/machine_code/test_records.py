@@ -14,7 +14,7 @@ from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, NotInSubs
 from antdsl.machine_code.kernels.interpret import interpret
 from antdsl.machine_code.kernels.kernel import Kernel
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code can be made here")
+pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be made here")
 
 
 class Point(NamedTuple):
@@ -130,7 +130,7 @@ def test_a_record_is_read_by_machine_code_as_a_tuple_is(monkeypatch: pytest.Monk
 
     monkeypatch.setattr(calling, "_plain", lambda *_: fail)
     monkeypatch.setattr(read_fields, "_run", None)
-    monkeypatch.setattr(read_fields, "__call__", read_fields._first)
+    monkeypatch.setattr(read_fields, "__call__", read_fields._first_call)
     assert read_fields(Grid(ROW, 3, Point(10.0, 4.0)), 2) == 10.5
     with pytest.raises(AssertionError, match="left to Python"):
         read_fields([ROW, 3, (10.0, 4.0)], 2)

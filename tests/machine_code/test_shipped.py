@@ -76,7 +76,7 @@ def test_objects_are_what_compiling_gives(folder: Path) -> None:
         objects = shipped.Objects(shipped.file_of(folder, name))
         assert len(objects) == len(ENTRIES)
         for entry in ENTRIES:
-            code = objects.get(shipped.key(entry.named(target), target))
+            code = objects.get(shipped.key(entry.text_key(target), target))
             assert code == machine.object_code(entry.text(target), target)
             assert code[:4] == b"\x7fELF" and int.from_bytes(code[18:20], "little") == (62 if target.x86 else 183)
     assert build(folder, ENTRIES, shipped.TARGETS) == 0, "what is there is not compiled again"
@@ -233,7 +233,9 @@ def test_a_changed_source_is_compiled(folder: Path, compiled: list[str], tmp_pat
 def processor(*absent: str, of: str = "x86-64-v4", **extra_features: bool) -> Target:
     """What `machine.host` gives for a processor with all features of a level but some."""
     present = {word[1:]: True for word in shipped.TARGETS[of].features.split(",") if word[0] == "+"}
-    return Target("x86_64-unknown-linux-gnu", "any", machine.named(present | extra_features | dict.fromkeys(absent, False)))
+    return Target(
+        "x86_64-unknown-linux-gnu", "any", machine.format_features(present | extra_features | dict.fromkeys(absent, False))
+    )
 
 
 def test_a_processor_gets_code_that_it_runs() -> None:

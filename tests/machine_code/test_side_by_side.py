@@ -16,10 +16,10 @@ from antdsl.machine_code.kernels import (
     Array2,
     NotInSubset,
     called,
-    consecutive,
     independent,
     inlined,
     kernel,
+    load_consecutive,
     nearest_integer,
     put_three,
     three,
@@ -27,7 +27,7 @@ from antdsl.machine_code.kernels import (
 from antdsl.machine_code.kernels.interpret import Interpreter
 from antdsl.machine_code.kernels.kernel import text_of
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code can be made here")
+pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be made here")
 COUNTS = (0, 1, 7, 8, 9, 64, 203)
 
 
@@ -89,7 +89,7 @@ def tables(
     for i in independent(begin, end):
         at = rows[i]
         if at >= 0:
-            a, b, c, d = consecutive(table, 4 * at, 4)
+            a, b, c, d = load_consecutive(table, 4 * at, 4)
             to[0, i], to[1, i] = a + b * np.float64(shift[0, i]), c - d / np.float64(shift[1, i])
             integers[4 * i + nearest_integer(a)] = nearest_integer(b)
 
@@ -104,7 +104,7 @@ def rows(
         put_three(to, i, (np.float64(x), np.float64(y) * 2.0, np.float64(z)))
         if which[i] < 0:
             continue
-        values = consecutive(table, 20 * which[i] + 4, 12)
+        values = load_consecutive(table, 20 * which[i] + 4, 12)
         a, b, c = three(wide, i)
         put_three(to, i, (np.float64(values[0]) + a, np.float64(values[7]) * b, c - np.float64(values[10])))
         if values[11] > 0:
@@ -184,7 +184,7 @@ def test_what_turns_would_change_together_is_refused() -> None:
 TARGETS = [
     machine.ANY,
     machine.Target(
-        machine.ANY.triple, "znver4", machine.named({"avx2": True, "fma": True, "avx512f": True, "avx512vbmi2": True})
+        machine.ANY.triple, "znver4", machine.format_features({"avx2": True, "fma": True, "avx512f": True, "avx512vbmi2": True})
     ),
     machine.Target("aarch64-unknown-linux-gnu", "generic", ""),
 ]

@@ -47,7 +47,7 @@ def groups(tmp_path: Path) -> Path:
     ],
 )
 def test_limits_of_control_groups_are_read(groups: Path, own: str, limits: list[float]) -> None:
-    assert list(module.allowed(own, groups)) == limits
+    assert list(module.core_limits(own, groups)) == limits
 
 
 @pytest.mark.parametrize(("own", "most"), [("0::/farm/job\n", 2), ("1:cpu:/job\n", 1), ("0::/\n", 64)])

@@ -40,7 +40,7 @@ def test_sums_are_exact_in_any_order(quantum: int, largest: float):
     rng = np.random.default_rng(1)
     for _ in range(20):
         order = rng.permutation(COUNT)
-        assert exact_sums.sums(np.zeros(COUNT, np.intp), terms[order], quantum, 1)[0].tobytes() == expected.tobytes()
+        assert exact_sums.sum_by_index(np.zeros(COUNT, np.intp), terms[order], quantum, 1)[0].tobytes() == expected.tobytes()
 
 
 @pytest.mark.parametrize("quantum", QUANTA)
@@ -53,13 +53,13 @@ def test_sums_beyond_what_one_word_holds_are_exact_too(quantum: int):
         expected = by_fractions(terms, quantum)
         for _ in range(10):
             order = rng.permutation(len(terms))
-            totals = exact_sums.sums(np.ones(len(terms), np.intp), terms[order], quantum, 3)
+            totals = exact_sums.sum_by_index(np.ones(len(terms), np.intp), terms[order], quantum, 3)
             assert totals[1].tobytes() == expected.tobytes() and totals[0] == totals[2] == 0
 
 
 def test_a_sum_with_nan_is_nan_and_only_that_one():
     terms = np.array([1.0, np.nan, 2.0, np.inf], np.float32)
-    totals = exact_sums.sums(np.array([0, 1, 0, 2]), terms, -24, 3)
+    totals = exact_sums.sum_by_index(np.array([0, 1, 0, 2]), terms, -24, 3)
     assert totals[0] == 3 and np.isnan(totals[1]) and totals[2] == 2.0**20
 
 

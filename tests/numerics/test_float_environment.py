@@ -15,15 +15,15 @@ from plan_text import plan_of
 from test_workers import squared
 
 from antdsl.machine_code import machine
-from antdsl.machine_code.entries import entry
+from antdsl.machine_code.entries import inner_text
 from antdsl.machine_code.module import Module
 from antdsl.numerics import parallel
-from antdsl.numerics.float_environment import be_standard, is_standard, standard
+from antdsl.numerics.float_environment import is_standard, set_standard, standard_floats
 from antdsl.passes import optimise
 from antdsl.plan import ir
 from antdsl.runtime import Options, Setting, bind, state_hash, step
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="a host's flags are set by machine code")
+pytestmark = pytest.mark.skipif(not machine.is_available(), reason="a host's flags are set by machine code")
 
 FLUSHED, UPWARD = 0x8040, 0x4000  # bits of MXCSR
 HOSTS = {"flushes": FLUSHED, "rounds upward": UPWARD}
@@ -74,14 +74,14 @@ def test_within_standard_a_thread_works_as_the_standard_says(bits: int) -> None:
 
     def work() -> tuple[bytes, bytes]:
         host_bytes = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
-        with standard():
+        with standard_floats():
             assert is_standard()
             within = (small * small.dtype.type(1)).tobytes() + (1 / third).tobytes()
         return host_bytes, within
 
     host_bytes, within = hosted(bits, work)
     assert within == small.tobytes() + (1 / third).tobytes() != host_bytes
-    assert hosted(bits, lambda: threading_is_standard(be_standard)) is True
+    assert hosted(bits, lambda: threading_is_standard(set_standard)) is True
 
 
 def threading_is_standard(begin: Callable[[], None]) -> bool:
@@ -108,7 +108,7 @@ def test_machine_code_works_as_the_standard_says(bits: int) -> None:
   %same = fmul <8 x float> %values, splat (float 1.0)
   %parts = fdiv <8 x float> %same, splat (float 3.0)
   store <8 x float> %parts, ptr %first, align 4"""
-    module.functions["thirds"] = entry(module, "thirds", body)
+    module.functions["thirds"] = inner_text(module, "thirds", body)
     code = machine.load(machine.object_code(module.text(), machine.host()))
     inputs = np.array([1e-44, -1e-40, 1.0, -2.0, 1e-38, -3.0, 7e-45, -10.0], np.float32)
 

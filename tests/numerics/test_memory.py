@@ -32,7 +32,7 @@ def groups(tmp_path: Path) -> Path:
     [("0::/job\n", [45 * MIB]), ("0::/\n", []), ("3:memory:/old\n", [0]), ("2:cpu:/job\n", []), ("nothing\n", []), ("", [])],
 )
 def test_what_control_groups_leave(groups: Path, own: str, bytes: list[int]) -> None:
-    assert list(module.left(own, groups)) == bytes
+    assert list(module.memory_left(own, groups)) == bytes
 
 
 def test_the_least_counts(groups: Path, monkeypatch: pytest.MonkeyPatch) -> None:

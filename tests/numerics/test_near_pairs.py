@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from antdsl.numerics import near_pairs
 from antdsl.numerics.near_pairs import pairs_between, pairs_within
-from antdsl.scene.geometry.live_faces import components
+from antdsl.scene.geometry.live_faces import component_numbers
 
 
 def random_points(count: int, size: float, seed: int = 0) -> np.ndarray:
@@ -55,9 +55,9 @@ def test_components_are_numbered_by_their_first_member(count: int, pairs: int) -
     expected = (
         connected_components(coo_array((np.ones(pairs), joined.T), shape=(count, count)), directed=False)[1] if count else []
     )
-    assert components(joined, count).tolist() == list(expected)
+    assert component_numbers(joined, count).tolist() == list(expected)
 
 
 def test_a_long_chain_hangs_together() -> None:
     order = np.random.default_rng(3).permutation(20_000)
-    assert components(np.stack([order[:-1], order[1:]], axis=1), len(order)).max() == 0
+    assert component_numbers(np.stack([order[:-1], order[1:]], axis=1), len(order)).max() == 0

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 
 from antdsl.numerics import parallel, row_copies
-from antdsl.numerics.row_copies import RowCopies, pick
+from antdsl.numerics.row_copies import RowCopies, copy_rows
 
 COUNT = 9_001
 
@@ -33,7 +33,7 @@ def test_rows_are_picked(threads: int, count: int) -> None:
     of = arrays(COUNT)
     rows = np.repeat(np.random.default_rng(1).permutation(COUNT), 2)[::2][:count]  # not in one piece
     to = [np.zeros((count + 1, *each.shape[1:]), each.dtype) for each in of]
-    pick([(target[:count], each) for target, each in zip(to, of, strict=True)], rows, threads)
+    copy_rows([(target[:count], each) for target, each in zip(to, of, strict=True)], rows, threads)
     for target, each in zip(to, of, strict=True):
         assert np.array_equal(target[:count], each[rows]) and not target[count].any()
 

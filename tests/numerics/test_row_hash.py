@@ -26,7 +26,7 @@ def table(count: int) -> tuple[NDArray[np.int64], Columns]:
 def hashed_rows(ids: np.ndarray, columns: dict[str, np.ndarray]) -> bytes:
     """What a digest takes in of columns whose last axis has the agents: names, types and the hash of the rows."""
     parts = [part for column in columns.values() for part in column.reshape(-1, len(ids))] if len(ids) else []
-    return row_hash.named(tuple(columns), columns.values()) + row_hash.row_hash(ids, parts)
+    return row_hash.describe_columns(tuple(columns), columns.values()) + row_hash.row_hash(ids, parts)
 
 
 def by_definition(ids: NDArray[np.int64] | None, columns: list[NDArray[np.generic]]) -> bytes:

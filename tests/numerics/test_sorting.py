@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from antdsl.numerics import parallel
-from antdsl.numerics.sorting import interleaved, stable_order
+from antdsl.numerics.sorting import morton_codes, stable_order
 
 
 @pytest.mark.parametrize("high", [1, 70, 1 << 20, 1 << 40, 1 << 60])
@@ -21,4 +21,4 @@ def test_cells_are_numbered_bit_by_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "LIGHT", 50)
     cells = np.random.default_rng(3).integers(0, 1 << 21, (200, 3)).astype(np.uint64)
     plain = [sum(((int(cell[axis]) >> bit) & 1) << (3 * bit + axis) for bit in range(21) for axis in range(3)) for cell in cells]
-    assert interleaved(cells).tolist() == plain and interleaved(np.asfortranarray(cells), 3).tolist() == plain
+    assert morton_codes(cells).tolist() == plain and morton_codes(np.asfortranarray(cells), 3).tolist() == plain

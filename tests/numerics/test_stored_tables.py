@@ -17,12 +17,12 @@ from antdsl.casting.triangle_grid import TriangleGrid
 from antdsl.fields.cells import SurfaceCells
 from antdsl.ground.mesh.creases import RiseMap
 from antdsl.ground.mesh.surface_clearance import Clearances
-from antdsl.ground.mesh.topology import Topology, build
+from antdsl.ground.mesh.topology import Topology, build_topology
 from antdsl.ground.moving import MovingGround
 from antdsl.machine_code import signing
 from antdsl.numerics import stored_tables
-from antdsl.numerics.stored_tables import KIND, LEAST, stored
-from antdsl.scene.geometry.closed import border_edges
+from antdsl.numerics.stored_tables import KIND, LEAST, get_or_compute
+from antdsl.scene.geometry.closed import count_border_edges
 from antdsl.scene.setting import MeshData
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
@@ -51,7 +51,7 @@ def hills(rows: int, high: float = 6.0) -> Mesh:
 
 
 def topology(mesh: Mesh) -> Topology:
-    return build(*mesh, np.zeros(len(mesh[1]), np.int32), 400.0)
+    return build_topology(*mesh, np.zeros(len(mesh[1]), np.int32), 400.0)
 
 
 def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
@@ -63,10 +63,10 @@ def arrays(mesh: Mesh) -> list[NDArray[np.generic]]:
     plain = [getattr(table, each.name) for each in fields(table) if each.name != "cuts"]
     rise_map, parts = (
         RiseMap(corners, table, []),
-        Clearances(corners, table.piece, table.cuts.cut, mesh[0].min(axis=0), 0.0).within(9.0),
+        Clearances(corners, table.piece, table.cuts.cut, mesh[0].min(axis=0), 0.0).parts_within(9.0),
     )
     other = [table.cuts.first, table.cuts.other, rise_map._clear, rise_map._creases._within(4), DistanceGrid(corners)._least]
-    other += [parts.first, parts.count, parts.least, cells.nearest(7), np.array(border_edges(MeshData(*mesh)))]
+    other += [parts.first, parts.count, parts.least, cells.nearest(7), np.array(count_border_edges(MeshData(*mesh)))]
     return [np.asarray(each) for each in [*plain, *other, *grid.tables, cells._keys, cells.position, cells.normal]]
 
 
@@ -79,16 +79,16 @@ def same(one: list[NDArray[np.generic]], other: list[NDArray[np.generic]]) -> bo
 def test_stored_tables_have_the_bits_of_computed_ones(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     mesh = hills(75)
     assert len(mesh[1]) >= LEAST
-    begin = stored_tables.computed()
+    begin = stored_tables.computed_count()
     monkeypatch.setenv(KIND.variable, "")
     stored_tables.forget()
     computed = arrays(mesh)
-    assert stored_tables.computed() == begin + 9 and not folder.exists()
+    assert stored_tables.computed_count() == begin + 9 and not folder.exists()
     monkeypatch.setenv(KIND.variable, str(folder))
     stored_tables.forget()
-    assert same(arrays(mesh), computed) and stored_tables.computed() == begin + 18
+    assert same(arrays(mesh), computed) and stored_tables.computed_count() == begin + 18
     stored_tables.forget()
-    assert same(arrays(mesh), computed) and stored_tables.computed() == begin + 18
+    assert same(arrays(mesh), computed) and stored_tables.computed_count() == begin + 18
     assert len(list(folder.iterdir())) == 9
 
 
@@ -102,15 +102,15 @@ def test_stored_arrays_belong_to_the_caller(folder: Path) -> None:
 
 
 def test_small_meshes_are_not_stored(folder: Path) -> None:
-    begin = stored_tables.computed()
+    begin = stored_tables.computed_count()
     for _ in range(2):
         topology(hills(20))
-    assert stored_tables.computed() == begin + 2 and not folder.exists()
+    assert stored_tables.computed_count() == begin + 2 and not folder.exists()
 
 
 @pytest.mark.parametrize("harm", ["a bit", "short", "empty", "long", "of another key", "a link"])
 def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Path) -> None:
-    mesh, begin = hills(75), stored_tables.computed()
+    mesh, begin = hills(75), stored_tables.computed_count()
     table = topology(mesh)
     (file,) = folder.iterdir()
     original = data = file.read_bytes()
@@ -130,7 +130,7 @@ def test_what_is_damaged_is_computed_again(folder: Path, harm: str, tmp_path: Pa
         file.write_bytes(data)
     stored_tables.forget()
     again = topology(mesh)
-    assert stored_tables.computed() == begin + 2
+    assert stored_tables.computed_count() == begin + 2
     assert again.link.tobytes() == table.link.tobytes() and again.smooth.tobytes() == table.smooth.tobytes()
     assert file.read_bytes() == original and not file.is_symlink()
 
@@ -152,10 +152,10 @@ def test_signed_nonsense_is_not_used(folder: Path, data: bytes) -> None:
     inputs = (np.arange(4.0), 2.0)
     computed_arrays = {"link": np.arange(7)}
     stored_tables._store().put(stored_tables._key("some", inputs), data)
-    begin = stored_tables.computed()
-    assert stored("some", LEAST, inputs, lambda: computed_arrays)["link"] is computed_arrays["link"]
-    assert stored("some", LEAST, inputs, dict)["link"].tolist() == list(range(7))
-    assert stored_tables.computed() == begin + 1
+    begin = stored_tables.computed_count()
+    assert get_or_compute("some", LEAST, inputs, lambda: computed_arrays)["link"] is computed_arrays["link"]
+    assert get_or_compute("some", LEAST, inputs, dict)["link"].tolist() == list(range(7))
+    assert stored_tables.computed_count() == begin + 1
 
 
 def test_all_that_tables_depend_on_is_in_their_key(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -187,8 +187,8 @@ def test_of_what_moves_nothing_is_stored(folder: Path) -> None:
     ground = MovingGround({"deck": (vertices, faces)}, ["deck"])
     begin = len(list(folder.iterdir()))
     for frame in range(3):
-        ground.pose({"deck": vertices + np.array([0.0, frame + 1.0, 0.0])})
-        scene, _ = ground._scene(None)
+        ground.pose_meshes({"deck": vertices + np.array([0.0, frame + 1.0, 0.0])})
+        scene, _ = ground._ray_scene(None)
         assert scene.cast_within(np.array([[0.0, 40.0 + frame, 0.0]]), np.array([[0.0, -60.0, 0.0]]))[0].size == 1
     assert len(list(folder.iterdir())) == begin
     brief = RayScene(vertices, faces, brief=True)

@@ -21,7 +21,7 @@ from antdsl.machine_code import workers_text
 from antdsl.machine_code.kernels import F64, I64, Array1, independent, kernel
 from antdsl.machine_code.kernels.direct_text import PARTS
 from antdsl.numerics import parallel, workers
-from antdsl.numerics.parallel import own
+from antdsl.numerics.parallel import buffer_index
 
 pytestmark = pytest.mark.skipif(not workers.possible(), reason="no threads that wait in machine code")
 THREADS = (1, 2, 3, 7)
@@ -40,7 +40,7 @@ def squared(x: Array1[F64], out: Array1[F64], times: Array1[I64], begin: I64, en
 
 @kernel
 def in_rooms(rooms: Array1[I64], count: I64, begin: I64, end: I64) -> I64:
-    slot = own(begin, count, rooms.size)
+    slot = buffer_index(begin, count, rooms.size)
     rooms[slot] += end - begin
     return slot
 
@@ -183,7 +183,7 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(begun: bool
 def test_functions_of_machine_code_are_called_with_each_row() -> None:
     buffer = np.zeros(8, np.int64)  # `turns` reads one word, and only waits
     for count in (1, 3, PARTS, 3 * PARTS + 5):
-        parallel.listed(workers_text.code().function("turns"), np.array([(buffer.ctypes.data, 3, 0)] * count, np.int64), 3)
+        parallel.call_rows(workers_text.code().function("turns"), np.array([(buffer.ctypes.data, 3, 0)] * count, np.int64), 3)
     pool = workers._pools[3]
     assert isinstance(pool, workers.Workers)
     assert (
@@ -251,10 +251,10 @@ def test_without_machine_code_an_executor_does_the_same(monkeypatch: pytest.Monk
         assert sum(total for _, total, _ in results) == x.sum()
         with pytest.raises(ZeroDivisionError):
             parallel.in_parts(lambda a, b: 1 // a, 1_000, threads, 10)
-    assert (times == len(THREADS)).all() and isinstance(workers._pools[2], workers.Executed)
+    assert (times == len(THREADS)).all() and isinstance(workers._pools[2], workers.ExecutorPool)
 
 
-@pytest.mark.parametrize("pool", [workers.Workers, workers.Executed])
+@pytest.mark.parametrize("pool", [workers.Workers, workers.ExecutorPool])
 def test_an_interrupt_leaves_the_pool_to_others_wherever_it_comes(pool: Any) -> None:
     """CPython raises it where a function begins, and in a call that is over: also in the one that takes the pool."""
     ask, code = workers._run_exclusively, workers._run_exclusively.__code__

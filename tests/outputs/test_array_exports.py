@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from antdsl.bodies.body import rotation, turned
+from antdsl.bodies.body import rotation_matrices, turned
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery
 from tests.commands import run
@@ -118,7 +118,7 @@ def test_points_for_houdini(up: str, tmp_path: Path, request: pytest.FixtureRequ
         return vectors if up == "y" else np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], axis=1)
 
     assert np.allclose(attributes["P"], upright(arrays["P"])) and np.allclose(attributes["v"], upright(arrays["v"]))
-    turn, own = rotation(attributes["orient"]), rotation(arrays["orient"].astype(float))
+    turn, own = rotation_matrices(attributes["orient"]), rotation_matrices(arrays["orient"].astype(float))
     assert np.allclose(turn[:, :, 2], upright(own[:, :, 0]), atol=1e-6), "+z is the heading"
     assert np.allclose(turn[:, :, 1], upright(own[:, :, 1]), atol=1e-6), "+y is up"
     from scipy.spatial.transform import Rotation
@@ -126,7 +126,7 @@ def test_points_for_houdini(up: str, tmp_path: Path, request: pytest.FixtureRequ
     both = np.isin(arrays["id"], next_arrays["id"])
     step = Rotation.from_rotvec(attributes["w"][both] / 24).as_matrix() @ turn[both]
     later = geo(tmp_path / "bugs.0021.geo")
-    assert np.allclose(step, rotation(later["orient"])[np.isin(later["id"], arrays["id"])], atol=1e-5)
+    assert np.allclose(step, rotation_matrices(later["orient"])[np.isin(later["id"], arrays["id"])], atol=1e-5)
     states = [state.name for state in stored_cache.manifest.species[0].machines[0].states]
     assert attributes["state"] == [states[k] for k in arrays["state"]] and attributes["agentname"][0] == f"bug_{arrays['id'][0]}"
     assert np.array_equal(attributes["id"], arrays["id"]) and np.allclose(attributes["pscale"], arrays["pscale"])

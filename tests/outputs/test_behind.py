@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache import frame_writer, lock
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.outputs.cache.frame_writer import Behind, Measures
+from antdsl.outputs.cache.frame_writer import BackgroundWorker, Measures
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, read_lines
-from antdsl.outputs.cache.lock import FolderLock, Locked
+from antdsl.outputs.cache.lock import FolderLock, FolderLocked
 from antdsl.outputs.recording import Recording, begin, record
 from antdsl.outputs.summary import summary
 from antdsl.pipeline import Choices, open_scene
@@ -41,7 +41,7 @@ def no_thread_is_left() -> Iterator[None]:
 def test_work_is_done_in_order_in_another_thread_and_reported_in_the_callers() -> None:
     executions: list[tuple[int, int]] = []
     reports: list[tuple[Any, int]] = []
-    worker = Behind(lambda result: reports.append((result["number"], threading.get_ident())))
+    worker = BackgroundWorker(lambda result: reports.append((result["number"], threading.get_ident())))
     for number in range(60):
 
         def work(number: int = number) -> Measures:
@@ -67,7 +67,7 @@ def test_where_the_disk_stalls_the_caller_waits_and_nothing_is_lost() -> None:
         return {}
 
     def hand_over_all() -> None:
-        worker = Behind(lambda result: None)
+        worker = BackgroundWorker(lambda result: None)
         for number in range(10):
             worker.hand_over(lambda number=number: work(number))  # type: ignore[misc]
             handed.release()
@@ -100,7 +100,7 @@ def test_an_error_is_raised_by_what_comes_next_and_nothing_more_is_done(problem:
         return {"number": number}
 
     results: list[Measures] = []
-    worker = Behind(results.append)
+    worker = BackgroundWorker(results.append)
     with pytest.raises(type(problem)) as raised:
         for number in range(100):
             worker.hand_over(lambda number=number: work(number))  # type: ignore[misc]
@@ -135,7 +135,7 @@ def test_what_a_killed_run_still_does_is_waited_for(tmp_path: Path, monkeypatch:
     """A thread that the system has not ended yet, in the midst of writing, or a process that the run had forked."""
     run = subprocess.Popen([sys.executable, "-c", KILLED, str(tmp_path)], env=child_environment())
     os.waitid(os.P_PID, run.pid, os.WEXITED | os.WNOWAIT)  # it has ended, and is still known to the system
-    with monkeypatch.context() as patch, pytest.raises(Locked, match=str(run.pid)):
+    with monkeypatch.context() as patch, pytest.raises(FolderLocked, match=str(run.pid)):
         patch.setattr(lock, "_PATIENCE", 0.0)
         with FolderLock(tmp_path):
             pass

@@ -27,12 +27,12 @@ from typer.testing import CliRunner
 
 from antdsl.cli import _run as run_in_process
 from antdsl.cli import app
-from antdsl.cli.exits import Stop
+from antdsl.cli.exits import CommandError
 from antdsl.cli.new import ground
 from antdsl.outputs.cache.cache_reader import SURFACE_ERROR, CacheError, checkpoint_path, frame_path, open_cache
 from antdsl.outputs.cache.cache_writer import ForeignFolder, prepare_folder
 from antdsl.outputs.cache.hashes import HASHES, read_lines
-from antdsl.outputs.cache.lock import FolderLock, Locked
+from antdsl.outputs.cache.lock import FolderLock, FolderLocked
 from antdsl.outputs.cache.npz import ArrayFileError, parse_npy, read_npz, to_bytes
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import open_scene
@@ -146,7 +146,7 @@ def test_a_foreign_folder_is_left_alone(tmp_path: Path) -> None:
 
 
 def test_two_runs_do_not_write_to_one_folder(tmp_path: Path) -> None:
-    with FolderLock(tmp_path), pytest.raises(Locked, match=str(os.getpid())), FolderLock(tmp_path):
+    with FolderLock(tmp_path), pytest.raises(FolderLocked, match=str(os.getpid())), FolderLock(tmp_path):
         pass
     with FolderLock(tmp_path):
         pass
@@ -159,7 +159,7 @@ def test_hash_lines_that_were_cut_off_are_left_out(tmp_path: Path) -> None:
 
 
 def test_feelers_of_a_program_are_found_and_turned_into_rays(tmp_path: Path) -> None:
-    from antdsl.outputs.feelers import feelers_of, rays
+    from antdsl.outputs.feelers import feeler_rays, feelers_of
     from antdsl.pipeline import compile_files
 
     path = tmp_path / "a.ant"
@@ -170,7 +170,7 @@ def test_feelers_of_a_program_are_found_and_turned_into_rays(tmp_path: Path) -> 
     (entry,) = feelers_of(program, "walker", {}, 10.0, 0.04)
     assert entry.count == 3 and entry.spread == pytest.approx(np.pi / 2)
     assert entry.reach == pytest.approx(0.2) and entry.per_length == pytest.approx(1.5)
-    segments = rays(entry, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]), np.array([0.4]))
+    segments = feeler_rays(entry, np.zeros((1, 3)), np.array([[1.0, 0, 0]]), np.array([[0, 1.0, 0]]), np.array([0.4]))
     ends = segments[np.argsort(segments[:, 1, 2]), 1]
     assert np.abs(ends - 0.8 * np.array([[0, 0, -1], [1, 0, 0], [0, 0, 1]])).max() < 1e-12
 
@@ -485,7 +485,9 @@ def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[i
         cache.frames() == list(range(1, 61)) and cache.checkpoints() == open_cache(unbroken[0].parent / "out/scene").checkpoints()
     )
     stopped = CliRunner().invoke(app, ["info", str(folder), "--verify"]).exception
-    assert isinstance(stopped, Stop) and stopped.code == 1 and "move away" in stopped.hint and "--resume" not in stopped.hint
+    assert (
+        isinstance(stopped, CommandError) and stopped.code == 1 and "move away" in stopped.hint and "--resume" not in stopped.hint
+    )
     shutil.copy(frame_path(folder, 12), frame_path(folder, 70))
     shot, _ = open_scene(tmp_path / "p" / "scene.yaml")
     assert shot is not None
@@ -641,7 +643,7 @@ def test_states_hashed_with_another_method_are_reported_and_not_compared(
     assert said.pop("state_hash") == STATE_HASH
     manifest.write_text(json.dumps(said))
     stopped = CliRunner().invoke(app, ["run", str(scene), "--resume"]).exception
-    assert isinstance(stopped, Stop) and "hashes states in another way" in stopped.message
+    assert isinstance(stopped, CommandError) and "hashes states in another way" in stopped.message
     assert CliRunner().invoke(app, ["info", str(manifest.parent), "--verify"]).exit_code == 0
 
 
@@ -684,7 +686,7 @@ def test_a_folder_in_the_place_of_a_file_is_reported_before_anything_is_removed(
     initial_paths = sorted(path for path in folder.rglob("*"))
     for words in ([], ["--resume"]):
         stopped = CliRunner().invoke(app, ["run", str(scene), *words]).exception
-        assert isinstance(stopped, Stop) and f"{kind}` is a folder" in stopped.message and "move it away" in stopped.hint
+        assert isinstance(stopped, CommandError) and f"{kind}` is a folder" in stopped.message and "move it away" in stopped.hint
         assert sorted(path for path in folder.rglob("*")) == initial_paths
 
 
@@ -700,7 +702,11 @@ def test_only_a_full_disk_is_to_be_made_room_on(
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / ".antdsl-cache").write_text("")
     stopped = CliRunner().invoke(app, ["run", str(scene), "--out", str(tmp_path / "out"), "--frames", "1..2"]).exception
-    assert isinstance(stopped, Stop) and advice in stopped.hint and f"`{tmp_path / 'out' / 'hashes.jsonl'}`" in stopped.message
+    assert (
+        isinstance(stopped, CommandError)
+        and advice in stopped.hint
+        and f"`{tmp_path / 'out' / 'hashes.jsonl'}`" in stopped.message
+    )
 
 
 def test_a_full_disk_ends_in_words_and_the_run_goes_on_later(unbroken: tuple[Path, dict[int, str]], tmp_path: Path) -> None:

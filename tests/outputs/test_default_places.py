@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from commands import run
 
-from antdsl.sweep.finished_runs import OtherFiles, RunStore
+from antdsl.sweep.finished_runs import NoSweepFolder, RunStore
 from antdsl.whole import first_link
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
@@ -115,7 +115,7 @@ def test_what_is_no_folder_is_no_place_for_results(project: Path, kind: str) -> 
 def test_runs_of_a_sweep_follow_no_link(project: Path) -> None:
     (project / "out" / "sweep").mkdir(parents=True)
     (project / "out" / "sweep" / "runs").symlink_to(project.parent / "victim")
-    with pytest.raises(OtherFiles, match="is a link"):
+    with pytest.raises(NoSweepFolder, match="is a link"):
         RunStore(project / "out" / "sweep")
 
 

@@ -12,10 +12,10 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from antdsl.cli import app
-from antdsl.cli.destinations import file_to_write, folder_to_write
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.destinations import require_writable_file, require_writable_folder
+from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.outputs.pictures.image_files import still
-from antdsl.whole import atomic_path, new_beside, write_atomically
+from antdsl.whole import atomic_path, new_sibling, write_atomically
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 
@@ -65,7 +65,7 @@ def test_where_nothing_can_be_written_nothing_is_run(shot: Path, words: tuple[st
         (shot / name).mkdir()
     result = invoke(*words)
     said = " ".join(result.stderr.replace("│", " ").split())
-    assert result.exit_code == Exit.USAGE and flag in said and why in said, (result.output, result.exception)
+    assert result.exit_code == ExitCode.USAGE and flag in said and why in said, (result.output, result.exception)
     assert (shot / "taken").read_text() == "mine" and not (shot / "out").exists()
 
 
@@ -102,7 +102,7 @@ def test_no_result_takes_the_place_of_what_it_is_made_from(shot: Path, words: tu
     initial_contents = contents(shot)
     result = invoke(*words)
     said = " ".join(result.stderr.replace("│", " ").split())
-    assert result.exit_code == Exit.USAGE and flag in said and why in said, (result.output, result.exception)
+    assert result.exit_code == ExitCode.USAGE and flag in said and why in said, (result.output, result.exception)
     assert contents(shot) == initial_contents
 
 
@@ -132,7 +132,7 @@ def test_a_run_does_not_write_over_the_cache_it_begins_with(shot: Path, monkeypa
     (shot / "more.yaml").write_text("antdsl: 1\nextends: scene.yaml\nfrom: {cache: first, frame: 2}\n")
     initial_contents = contents(shot)
     result = invoke("run", "more.yaml", "--frames", "1..2", "--out", "first")
-    assert isinstance(result.exception, Stop) and "checkpoint.0002.npz` is read here" in result.exception.message
+    assert isinstance(result.exception, CommandError) and "checkpoint.0002.npz` is read here" in result.exception.message
     assert "--out" in result.exception.hint and contents(shot) == initial_contents
     assert invoke("run", "more.yaml", "--frames", "1..2", "--out", "second", "-q").exit_code == 0
 
@@ -148,7 +148,7 @@ def test_a_run_does_not_write_over_the_cache_it_begins_with(shot: Path, monkeypa
 )
 def test_a_file_is_no_folder_to_write_into(shot: Path, words: tuple[str, ...]) -> None:
     result = invoke(*words)
-    assert isinstance(result.exception, Stop) and result.exception.code == Exit.INPUT_OUTPUT
+    assert isinstance(result.exception, CommandError) and result.exception.code == ExitCode.INPUT_OUTPUT
     assert "taken` is a file" in result.exception.message and words[-2] in result.exception.hint
     assert (shot / "taken").read_text() == "mine" and not (shot / "out").exists()
 
@@ -157,21 +157,24 @@ def test_a_table_of_a_sweep_cannot_take_the_place_of_a_folder(shot: Path) -> Non
     (shot / "folder" / "runs").mkdir()
     (shot / "folder" / "sweep.json").mkdir()
     result = invoke("sweep", "scene.yaml", "--out", "folder")
-    assert isinstance(result.exception, Stop) and "sweep.json` is a folder" in result.exception.message
+    assert isinstance(result.exception, CommandError) and "sweep.json` is a folder" in result.exception.message
 
 
 def test_an_unwritable_folder_is_reported(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    for ask in (lambda: file_to_write(Path("/proc/none.json"), "--summary"), lambda: folder_to_write(Path("/proc/x"), "--out")):
-        with pytest.raises(Stop) as stopped:
+    for ask in (
+        lambda: require_writable_file(Path("/proc/none.json"), "--summary"),
+        lambda: require_writable_folder(Path("/proc/x"), "--out"),
+    ):
+        with pytest.raises(CommandError) as stopped:
             ask()
-        assert stopped.value.code == Exit.INPUT_OUTPUT and "cannot write" in stopped.value.message
+        assert stopped.value.code == ExitCode.INPUT_OUTPUT and "cannot write" in stopped.value.message
 
 
 def test_trying_leaves_everything_as_it_was(tmp_path: Path) -> None:
     (tmp_path / "x.json").write_text("mine")
-    file_to_write(tmp_path / "x.json", "--summary")
-    folder_to_write(tmp_path / "a" / "b", "--out", "table.txt")
-    file_to_write(None, "--summary")
+    require_writable_file(tmp_path / "x.json", "--summary")
+    require_writable_folder(tmp_path / "a" / "b", "--out", "table.txt")
+    require_writable_file(None, "--summary")
     assert [path.name for path in tmp_path.iterdir()] == ["x.json"] and (tmp_path / "x.json").read_text() == "mine"
 
 
@@ -185,9 +188,9 @@ def _beside(folder: Path) -> tuple[Path, Path]:
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
 def test_what_is_there_is_neither_waited_for_nor_taken_away(tmp_path: Path) -> None:
     mine, pipe = _beside(tmp_path)
-    file_to_write(tmp_path / "x.json", "--summary")
-    file_to_write(tmp_path / "antdsl", "--summary")
-    folder_to_write(tmp_path, "--out")
+    require_writable_file(tmp_path / "x.json", "--summary")
+    require_writable_file(tmp_path / "antdsl", "--summary")
+    require_writable_folder(tmp_path, "--out")
     write_atomically(tmp_path / "x.json", b"new", sync=False)
     still(np.zeros((4, 4, 3), np.uint8), tmp_path / "x.json")
     assert mine.read_text() == "mine" and pipe.is_fifo()
@@ -197,10 +200,10 @@ def test_what_is_there_is_neither_waited_for_nor_taken_away(tmp_path: Path) -> N
 def test_a_name_that_is_taken_is_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     names = iter([b"\1", b"\1", b"\1", b"\2"])
     monkeypatch.setattr("antdsl.whole.os.urandom", lambda size: next(names))
-    taken = new_beside(tmp_path / "x")
+    taken = new_sibling(tmp_path / "x")
     taken.unlink()
     taken.symlink_to(tmp_path / "elsewhere")
-    assert new_beside(tmp_path / "x").name == taken.name.replace("-01.part", "-02.part")
+    assert new_sibling(tmp_path / "x").name == taken.name.replace("-01.part", "-02.part")
     assert not (tmp_path / "elsewhere").exists() and taken.is_symlink()
 
 
@@ -218,6 +221,6 @@ def test_the_folder_that_results_go_to_by_themselves_is_tried_too(shot: Path, wo
     opened = shot / "ground.ply"
     opened.unlink()  # opening the scene would tell of this
     result = invoke(*words)
-    assert isinstance(result.exception, Stop) and result.exception.code == Exit.INPUT_OUTPUT
+    assert isinstance(result.exception, CommandError) and result.exception.code == ExitCode.INPUT_OUTPUT
     assert f"{taken}` is a file" in result.exception.message and "--out" in result.exception.hint
     assert (shot / taken).read_text() == "mine"

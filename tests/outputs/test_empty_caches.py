@@ -19,7 +19,7 @@ from sampling import sampled
 
 from antdsl.cli.render import View
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
-from antdsl.outputs.drawing import Drawer, Drawn, NoAgent
+from antdsl.outputs.drawing import Drawer, DrawRequest, NoAgent
 from antdsl.outputs.exports import EXPORTS, export_for
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import NoExport
@@ -146,13 +146,13 @@ def _options(kind: str) -> list[dict[str, Any]]:
 def test_every_camera_draws_frames_without_agents(cache: Cache, camera: str) -> None:
     counts = agents(cache)
     show = ("trail", "flow", "feelers", "velocity", "paths", "ids")
-    options = Drawn(48, 27, camera, show, blur=0.5)
+    options = DrawRequest(48, 27, camera, show, blur=0.5)
     chosen = [FIRST, FIRST + counts.index(min(counts)), LAST]
     drawer = Drawer(options.gallery(cache), options, chosen, 1)
     assert all(drawer.draw(frame).shape == (27, 48, 3) for frame in dict.fromkeys(chosen))
     if camera == "eye" and not min(counts):
         with pytest.raises(NoAgent, match="no agent 7 to stand beside; this frame has nobody"):
-            Drawer(options.gallery(cache), Drawn(48, 27, camera, (), agents=(7,)), chosen[1:], 1)
+            Drawer(options.gallery(cache), DrawRequest(48, 27, camera, (), agents=(7,)), chosen[1:], 1)
 
 
 @pytest.mark.slow

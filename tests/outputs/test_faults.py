@@ -18,7 +18,7 @@ from fault_shots import LAST, assert_same, project, ran
 from sampling import sampled
 
 from antdsl.outputs.cache.cache_reader import frame_path, open_cache
-from antdsl.outputs.cache.lock import LOCK, FolderLock, Locked
+from antdsl.outputs.cache.lock import LOCK, FolderLock, FolderLocked
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import open_scene
 from antdsl.runtime import Options
@@ -116,7 +116,7 @@ def test_a_run_that_another_one_overtook_writes_nothing(unbroken: Path, tmp_path
     other = open_cache(folder / "out" / "scene")
     assert ran(folder, "--seed", "2").returncode == 0
     initial_contents = {path: path.read_bytes() for path in other.folder.rglob("*.npz")}
-    with pytest.raises(Locked, match="another run has written"):
+    with pytest.raises(FolderLocked, match="another run has written"):
         list(record(recording))
     assert {path: path.read_bytes() for path in other.folder.rglob("*.npz")} == initial_contents
     process = ran(folder, "--resume")
@@ -141,7 +141,10 @@ def test_a_lock_that_is_held_is_not_waited_for_unless_its_process_is_known_to_be
     """Of an empty file, a process that runs, one of another host or container, and nonsense."""
     with FolderLock(tmp_path):
         (tmp_path / LOCK).write_bytes(words)
-        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(Locked, match=re.escape(shown)) as error_info:
+        with (
+            patch("antdsl.outputs.cache.lock._PATIENCE", 0.05),
+            pytest.raises(FolderLocked, match=re.escape(shown)) as error_info,
+        ):
             FolderLock(tmp_path).__enter__()
         assert error_info.value.args[0].isprintable()
     with FolderLock(tmp_path):  # what a file says that no process holds counts for nothing
@@ -159,13 +162,13 @@ def test_a_lock_with_another_name_is_replaced(tmp_path: Path) -> None:
     os.link(outside, tmp_path / "cache" / LOCK)
     with FolderLock(tmp_path / "cache") as lock:
         assert outside.read_text() == "precious" and os.stat(lock.path).st_nlink == 1
-        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(Locked):
+        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(FolderLocked):
             FolderLock(tmp_path / "cache").__enter__()
     os.unlink(lock.path)
     os.link(outside, lock.path)
     with outside.open("r+") as held:
         fcntl.flock(held, fcntl.LOCK_EX)
-        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(Locked):
+        with patch("antdsl.outputs.cache.lock._PATIENCE", 0.05), pytest.raises(FolderLocked):
             FolderLock(tmp_path / "cache").__enter__()
     assert outside.read_text() == "precious"
 

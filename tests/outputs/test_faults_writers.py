@@ -20,7 +20,7 @@ from kills import kill
 from sampling import sampled
 
 from antdsl.cli import _run
-from antdsl.outputs.pictures import film
+from antdsl.outputs.pictures import write_film
 from antdsl.sweep.finished_runs import RunStore
 
 SAMPLE = ("csv", "geo", "edit", "golden", "fmt")
@@ -179,12 +179,12 @@ def test_a_film_on_a_full_disk_is_not_written(tmp_path: Path) -> None:
     """The encoder is another program, which says nothing of it."""
     pytest.importorskip("imageio_ffmpeg")
     noise = np.random.default_rng(1).integers(0, 255, (20, 48, 64, 3)).astype(np.uint8)
-    assert film(noise, tmp_path / "film.mp4", 24).ok
+    assert write_film(noise, tmp_path / "film.mp4", 24).ok
     size = (tmp_path / "film.mp4").stat().st_size
     (tmp_path / "film.mp4").write_bytes(b"old")
 
     def encode() -> int:
-        errors = film(noise, tmp_path / "film.mp4", 24).errors
+        errors = write_film(noise, tmp_path / "film.mp4", 24).errors
         return 3 if [each.code for each in errors] == ["cannot-write"] else 98
 
     for limit in (100, size // 2, size - 10):

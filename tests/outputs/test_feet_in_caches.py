@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import stick_bodies
 
-from antdsl.bodies.body import rotation
+from antdsl.bodies.body import rotation_matrices
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.recording import Recording, begin, record
@@ -103,7 +103,7 @@ def test_drawn_feet_are_where_frames_have_them_and_each_frame_stands_alone(cache
         points, normals = crowd.worn.posed(crowd.plays, len(every), crowd.feet_beside(every))
         alone = Gallery(cache).picture(frame).crowds[0]
         assert np.array_equal(points, alone.worn.posed(alone.plays, len(every), alone.feet_beside(every))[0])  # type: ignore[union-attr]
-        turned = np.einsum("nij,nvj->nvi", rotation(crowd.orient), points * crowd.scale[:, None, None])
+        turned = np.einsum("nij,nvj->nvi", rotation_matrices(crowd.orient), points * crowd.scale[:, None, None])
         world = turned + crowd.position[:, None]
         # Each foot that stands has a vertex of its own shape within the shape's size of it, and no vertex of the body far below.
         for k in range(6):

@@ -13,12 +13,12 @@ from plans import bare, block, crowd
 
 from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS
 from antdsl.outputs.cache.agent_arrays import write_colours, write_numbers, write_placed
-from antdsl.outputs.cache.frames import _not_zero
-from antdsl.outputs.cache.pose_arrays import _REGISTERS, _put_on, clips_playing, placed_feet
-from antdsl.outputs.surface_error import _worst, surface_error
+from antdsl.outputs.cache.frames import _nonzero_cells
+from antdsl.outputs.cache.pose_arrays import _REGISTERS, _set_layer_bit, clips_playing, placed_feet
+from antdsl.outputs.surface_error import _greatest_error, surface_error
 from antdsl.runtime import Options, Population, World, bind
 from antdsl.runtime.feet.state import Feet
-from antdsl.runtime.feet.trunk import quaternions
+from antdsl.runtime.feet.trunk import slope_quaternions
 
 EXTREMES = np.array([0.0, -0.0, 1.0, -1.0, 1e-13, -1e-13, 1e-30, 1e30, np.inf, -np.inf, np.nan, 0.6, -0.8], np.float32)
 
@@ -143,7 +143,7 @@ def test_the_distance_from_the_ground(world: World, odd: float) -> None:
         away = population.position.astype(np.float32) - world.ground.position(population.footing)
         distance = np.sqrt((away[:, 0] * away[:, 0] + away[:, 1] * away[:, 1]) + away[:, 2] * away[:, 2])
         shares = np.abs(distance - population.now["clearance"]) / np.maximum(population.now["size"].astype(np.float64), 1e-9)
-        worst = _worst(world, population, world.ground.position(population.footing))
+        worst = _greatest_error(world, population, world.ground.position(population.footing))
         assert worst == shares.max() or (np.isnan(worst) and np.isnan(odd))
         assert np.isnan(odd) or surface_error(world) == worst > 0
         population.now["size"][:3] = 50.0
@@ -152,7 +152,7 @@ def test_the_distance_from_the_ground(world: World, odd: float) -> None:
 @pytest.mark.parametrize("count", [0, 1, 7, 4000])
 def test_cells_of_a_field(count: int) -> None:
     values = np.random.default_rng(count).choice([0.0, -0.0, 1e-300, -2.5, 1e300, np.inf, np.nan, 0.1], count)
-    cells, strength = _not_zero(values)
+    cells, strength = _nonzero_cells(values)
     assert cells.dtype == np.int32 and np.array_equal(cells, np.flatnonzero(values != 0))
     with np.errstate(over="ignore"):
         assert np.array_equal(strength, values[values != 0].astype(np.float32), equal_nan=True)
@@ -163,11 +163,11 @@ def test_who_wears_a_layer() -> None:
     on, ids, initial_bits = rng.random(500) < 0.3, rng.permutation(500), rng.integers(0, 2**63, 500).astype(np.uint64)
     population, layer_bits, rows = SimpleNamespace(ranks=lambda: ids.astype(np.int32)), initial_bits.copy(), np.argsort(ids)
     for bit in (0, 5, 63):
-        _put_on(population, on, None, np.uint64(1 << bit), layer_bits)  # type: ignore[arg-type]
+        _set_layer_bit(population, on, None, np.uint64(1 << bit), layer_bits)  # type: ignore[arg-type]
     expected = np.where(on[rows], initial_bits | np.uint64(1 | 1 << 5 | 1 << 63), initial_bits)
     assert np.array_equal(layer_bits, expected) and not np.array_equal(layer_bits, initial_bits)
     subset_bits = initial_bits[:2].copy()
-    _put_on(population, on, np.flatnonzero(on)[:2], np.uint64(4), subset_bits)  # type: ignore[arg-type]
+    _set_layer_bit(population, on, np.flatnonzero(on)[:2], np.uint64(4), subset_bits)  # type: ignore[arg-type]
     assert np.array_equal(subset_bits, initial_bits[:2] | np.uint64(4))
 
 
@@ -188,7 +188,7 @@ def test_colours_of_states() -> None:
 @pytest.mark.parametrize(("count", "threads"), [(0, 1), (3, 1), (700, 1), (5_000, 2)])
 def test_feet_of_a_frame(count: int, threads: int) -> None:
     rng, scale = np.random.default_rng(count), 0.1
-    feet = Feet.none(6).matched(np.arange(count))[0]
+    feet = Feet.none(6).match_ids(np.arange(count))[0]
     for array in (feet.shown, feet.slope, feet.rise, feet.phase):
         array[:] = rng.choice(EXTREMES, array.shape)
         array[..., count // 2 :] = rng.normal(size=array[..., count // 2 :].shape) * 1000
@@ -198,10 +198,10 @@ def test_feet_of_a_frame(count: int, threads: int) -> None:
     with np.errstate(all="ignore"):
         expected = {
             "P": ((feet.shown.transpose(1, 2, 0) + 0.0) * scale).astype(np.float32),
-            "down": feet.down.astype(np.uint8),
+            "down": feet.is_standing.astype(np.uint8),
             "phase": feet.phase,
             "rise": feet.rise * np.float32(scale),
-            "tilt": quaternions(feet.slope),
+            "tilt": slope_quaternions(feet.slope),
         }
     assert list(arrays) == [f"feet.ant.{name}" for name in expected]
     for name, array in expected.items():

@@ -93,8 +93,8 @@ def test_a_film_is_made_of_the_pictures_that_are_there(cache: Path, tmp_path: Pa
         films.append([image.tobytes() for image in images])
         return Report()
 
-    monkeypatch.setattr("antdsl.outputs.pictures.film", film)
-    monkeypatch.setattr("antdsl.outputs.pictures.film_ready", Report)
+    monkeypatch.setattr("antdsl.outputs.pictures.write_film", film)
+    monkeypatch.setattr("antdsl.outputs.pictures.check_film_support", Report)
     drawn(cache, tmp_path, "--frames", "1..3", "--shot", "1..6")
     drawn(cache, tmp_path, "--frames", "4..6", "--shot", "1..6")
     assert drawn(cache, tmp_path / "drawn", "--film") == ["film.mp4"]

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from antdsl.bodies.body import rotation
+from antdsl.bodies.body import rotation_matrices
 from antdsl.cli import app
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.euler_angles import Angles, nearest_angles
@@ -72,8 +72,8 @@ def quaternions(turn: np.ndarray) -> np.ndarray:
 
 def test_random_turns_come_back() -> None:
     quats = np.random.default_rng(4).normal(size=(5000, 4))
-    angles = np.degrees(nearest_angles(rotation(quats), np.zeros((5000, 3))))
-    assert np.abs(composed(angles) - rotation(quats)).max() < 1e-12
+    angles = np.degrees(nearest_angles(rotation_matrices(quats), np.zeros((5000, 3))))
+    assert np.abs(composed(angles) - rotation_matrices(quats)).max() < 1e-12
     assert np.abs(angles).max() < 180.1 and angles[:, 1].min() < -90 and angles[:, 1].max() > 90
 
 
@@ -139,7 +139,7 @@ def test_a_table_is_read_back(cache: Path, tmp_path: Path) -> None:
         assert np.array_equal(table[:, 0], arrays["id"]) and np.array_equal(table[:, 2:5].astype(np.float32), arrays["P"])
         assert np.array_equal(table[:, 8:].astype(np.float32), np.repeat(arrays["pscale"][:, None], 3, axis=1))
         assert [("bug", "mite")[k] for k in arrays["species"]] == [row["species"] for row in frame_rows]
-        assert np.abs(composed(table[:, 5:8]) - rotation(arrays["orient"].astype(np.float64))).max() < 1e-6
+        assert np.abs(composed(table[:, 5:8]) - rotation_matrices(arrays["orient"].astype(np.float64))).max() < 1e-6
         for row, angles in zip(frame_rows, table[:, 5:8], strict=True):
             name = row["species"], row["id"]
             if name in last:
@@ -166,7 +166,7 @@ def test_an_xform_an_agent_is_read_back(cache: Path, tmp_path: Path) -> None:
     for frame in range(3, 31):
         arrays, time = stored_cache.frame(frame), Usd.TimeCode(frame)
         rows = np.flatnonzero(arrays["species"] == 0)
-        turn = rotation(arrays["orient"].astype(np.float64))
+        turn = rotation_matrices(arrays["orient"].astype(np.float64))
         for row in rows:
             prim = prims[f"agent_{arrays['id'][row]}"]
             assert UsdGeom.Imageable(prim).ComputeVisibility(time) == "inherited"

@@ -17,7 +17,7 @@ from antdsl.outputs.cutting import Cut
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.paths import Window
 from antdsl.outputs.pictures import Camera, Crowd, Picture, Solid, render_frame
-from antdsl.outputs.pictures.camera import view
+from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.model import Paths
 
 RUN = CliRunner()
@@ -128,7 +128,7 @@ def changes(drawn: Picture, *points: tuple[float, float, float]) -> list[float]:
     """How much brighter the pixels about each place become by the paths."""
     with_paths, plain = (render_frame(drawn, ABOVE, 160, 90, show=show, samples=1).astype(int) for show in (("paths",), ()))
     differences = []
-    for column, row in view(ABOVE, 160, 90, (0.0, 1.0, 0.0)).project(np.array(points, float))[0].round().astype(int):
+    for column, row in make_view(ABOVE, 160, 90, (0.0, 1.0, 0.0)).project(np.array(points, float))[0].round().astype(int):
         part = (with_paths - plain)[row - 2 : row + 3, column - 2 : column + 3].sum(axis=2)
         differences.append(float(part.ravel()[np.abs(part).argmax()]))
     return differences

@@ -20,22 +20,22 @@ from antdsl.outputs.pictures import (
     camera_at_eye_level,
     camera_over,
     contact_sheet,
-    film,
     looks,
     render,
     render_frame,
     still,
     strip_width,
     with_strip,
+    write_film,
 )
 from antdsl.outputs.pictures.actors import item_mesh
-from antdsl.outputs.pictures.camera import view
+from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.cameras import camera_on_top
 from antdsl.outputs.pictures.light import sun_over
 from antdsl.outputs.pictures.looks import Scales
-from antdsl.outputs.pictures.setting import is_floor, setting
+from antdsl.outputs.pictures.setting import is_floor, make_setting
 from antdsl.outputs.pictures.stage import stage
-from antdsl.outputs.pictures.trails import TrailCloth, cover, robust_full
+from antdsl.outputs.pictures.trails import TrailVoxels, ground_cover, robust_full_strength
 
 ABOVE = Camera((0.0, 60.0, 0.01), (0.0, 0.0, 0.0), focal=30.0)
 W, H = 160, 90
@@ -54,23 +54,23 @@ def crowd(points, colour, **fields):
 
 
 def at(image, picture, camera, point):
-    positions, _ = view(camera, image.shape[1], image.shape[0], picture.up).project(np.array([point], float))
+    positions, _ = make_view(camera, image.shape[1], image.shape[0], picture.up).project(np.array([point], float))
     column, row = positions[0].astype(int)
     return image[row, column].astype(int)
 
 
 def test_rays_and_projection_agree():
-    ready = view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
+    ready = make_view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
     for camera in (
         Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0),
         Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), wide=9.0),
     ):
-        ready = view(camera, W, H, (0.0, 1.0, 0.0))
+        ready = make_view(camera, W, H, (0.0, 1.0, 0.0))
         start, directions = ready.rays(np.array([40 * W + 3, 40 * W + 90]), 0.25, 0.5)
         positions, ahead = ready.project(start + 7.0 * directions.astype(float))
         assert np.allclose(positions, [[3.25, 40.5], [90.25, 40.5]], atol=1e-3) and (ahead > 0).all()
         assert np.allclose(ready.distance(start + 7.0 * directions.astype(float)), 7.0, atol=1e-5)
-    ready = view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
+    ready = make_view(Camera((10.0, 20.0, 30.0), (1.0, 2.0, -3.0), fov=50.0), W, H, (0.0, 1.0, 0.0))
     assert ready.half[0] == pytest.approx(np.tan(np.radians(25)))
 
 
@@ -122,17 +122,17 @@ def test_even_scent_on_uneven_cells_shows_no_pattern():
     slope = np.array([[1.0, 0.7, 0.2], [0.0, 0.3, 1.0]])  # ground that lies across the lattice
     trail = Trail("trail", flat @ slope, np.ones(len(flat)), 3.0)
     points = (draw.uniform(-24, 24, (4000, 2)) @ slope).astype(np.float32)
-    cloth = TrailCloth(points.min(axis=0).astype(float), points.max(axis=0).astype(float), 3.0)
-    cloth.soak(trail)
+    cloth = TrailVoxels(points.min(axis=0).astype(float), points.max(axis=0).astype(float), 3.0)
+    cloth.spread_trail(trail)
     assert np.allclose(cloth.share(points), 1.0, atol=1e-3)
 
 
 def test_a_thin_veil_of_scent_everywhere_does_not_hide_a_trail():
     path = np.geomspace(0.5, 300, 150)
-    alone, veiled = robust_full(path), robust_full(np.concatenate([np.full(30_000, 3e-3), path]))
+    alone, veiled = robust_full_strength(path), robust_full_strength(np.concatenate([np.full(30_000, 3e-3), path]))
     assert veiled == pytest.approx(alone, rel=0.1) and alone > 30
-    assert robust_full(np.zeros(4)) == 0
-    faint, strong = cover(Trail("trail", np.zeros((2, 3)), np.array([3e-3, 300.0]), 6.0, full=alone))
+    assert robust_full_strength(np.zeros(4)) == 0
+    faint, strong = ground_cover(Trail("trail", np.zeros((2, 3)), np.array([3e-3, 300.0]), 6.0, full=alone))
     assert faint < 0.04 and strong == 1
 
 
@@ -140,7 +140,7 @@ def test_what_closes_on_itself_is_a_figure_that_stands_on_the_table():
     vertices, faces = sphere(2)
     up = np.array([0.0, 1.0, 0.0])
     assert is_floor(floor().vertices, floor().faces, up) and not is_floor(vertices, faces, up)
-    figure, ground = setting((Solid("ground", vertices * 20, faces),), up), setting((floor(),), up)
+    figure, ground = make_setting((Solid("ground", vertices * 20, faces),), up), make_setting((floor(),), up)
     assert figure.base == pytest.approx(-20, abs=0.1) and ground.base < -2
     assert looks.FIGURE in figure.kind and looks.EDGE not in figure.kind and looks.EDGE in ground.kind
 
@@ -149,7 +149,7 @@ def test_the_soil_of_a_nest_follows_the_ground():
     plain = floor(60.0, 3)
     up = np.array([0.0, 1.0, 0.0])
     steep = plain.vertices + up * 0.5 * plain.vertices[:, :1]
-    ground = setting((Solid("ground", steep, plain.faces),), up)
+    ground = make_setting((Solid("ground", steep, plain.faces),), up)
     nest = Item("home", (0.0, 0.0, 0.0), 10.0, 1.0, "mound")
     flat, laid = item_mesh(nest, (0.0, 1.0, 0.0)).vertices, item_mesh(nest, (0.0, 1.0, 0.0), ground).vertices
     assert np.allclose(laid - flat, up * 0.5 * flat[:, :1], atol=1e-3) and np.ptp(flat[:, 0]) > 20
@@ -188,7 +188,7 @@ def test_lines_and_ids_are_drawn_where_agents_are_and_others_are_refused():
     for word, point in (("velocity", (0, 1, -10)), ("feelers", (-12, 1, 0))):
         changed = np.abs(render_frame(picture, ABOVE, W, H, show=("trail", word)) - plain).max(axis=2) > 25
         row, column = np.nonzero(changed)
-        positions, _ = view(ABOVE, W, H, picture.up).project(np.array([point], float))
+        positions, _ = make_view(ABOVE, W, H, picture.up).project(np.array([point], float))
         assert 0 < changed.sum() < 300 and np.hypot(column - positions[0, 0], row - positions[0, 1]).min() < 3
     assert (np.abs(render_frame(picture, ABOVE, W, H, show=("trail", "ids")) - plain) > 40).sum() > 20
     with pytest.raises(ValueError, match="`trails`"):
@@ -235,7 +235,7 @@ def test_shadows_have_soft_edges_without_noise():
     ball = Solid("ball", vertices * 5 + [0, 14, 0], faces, "stone")
     up, scales = np.array([0.0, 1.0, 0.0]), Scales(80.0, 4.0)
     bare, under = (
-        stage(setting(solids, up), view(ABOVE, 480, 270, (0.0, 1.0, 0.0)), sun_over(up), scales, 1)
+        stage(make_setting(solids, up), make_view(ABOVE, 480, 270, (0.0, 1.0, 0.0)), sun_over(up), scales, 1)
         for solids in ((floor(),), (floor(), ball))
     )
     ground = (under.middle.kind == looks.GROUND) & (bare.middle.sun > 0.2)
@@ -258,7 +258,7 @@ def test_what_moves_is_blurred_along_its_way_and_what_stands_is_sharp():
         Renderer(W, H, blur=blur).draw(picture, ABOVE).astype(int) for blur, picture in ((0.0, still), (0.0, moved), (1.0, moved))
     )
     assert np.array_equal(sharp, shut)
-    positions, _ = view(ABOVE, W, H, (0.0, 1.0, 0.0)).project(np.array([[-8.0, 0, 0], [-2.0, 0, 0], [8.0, 0, 8.0]]))
+    positions, _ = make_view(ABOVE, W, H, (0.0, 1.0, 0.0)).project(np.array([[-8.0, 0, 0], [-2.0, 0, 0], [8.0, 0, 8.0]]))
     x, y = positions.round().astype(int).T
     changed = np.abs(open_ - sharp).max(axis=2)
     assert changed[y[0] - 3 : y[0] + 4, x[0] : x[1] + 4].max() > 40
@@ -288,7 +288,7 @@ def test_a_view_from_straight_above_has_one_scale():
     ants = crowd([[-12.0, 0, -9.0], [12.0, 9.0, 9.0]], (0.9, 0.1, 0.1))
     picture = Picture((floor(),), (ants,), grain=4.0)
     camera = camera_on_top(picture, aspect=W / H)
-    camera_view = view(camera, W, H, picture.up)
+    camera_view = make_view(camera, W, H, picture.up)
     positions, ahead = camera_view.project(np.array([[0.0, 0, 0], [10, 0, 0], [10, 9, 0], [0, 0, 10]]))
     assert (
         (ahead > 0).all()
@@ -335,7 +335,7 @@ def test_cameras_of_their_own_see_the_scene_and_an_ant_that_is_not_hidden():
     vertices, faces = sphere(2)
     rock = Solid("rock", vertices * 5 + [-12, 3, 0], faces, "stone")
     picture = Picture((floor(), rock), (crowd([[x, 0, z] for x in (0, 6, 12) for z in (0, 6)], (0.9, 0.6, 0.1)),))
-    over = view(camera_over(picture), W, H, picture.up)
+    over = make_view(camera_over(picture), W, H, picture.up)
     positions, ahead = over.project(picture.solids[0].vertices)
     assert (ahead > 0).all() and (positions >= 0).all() and (positions <= [W, H]).all()
     camera = camera_at_eye_level(picture, 3)
@@ -391,16 +391,16 @@ def test_stills_and_films_reach_the_disk(tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     import imageio_ffmpeg
 
-    assert film(frames, tmp_path / "film.mp4", 24).ok
+    assert write_film(frames, tmp_path / "film.mp4", 24).ok
     count, _ = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / "film.mp4"))
     assert count == 2 and sorted(path.name for path in tmp_path.iterdir()) == ["film.mp4", "one.png"]
-    assert [d.code for d in film([], tmp_path / "none.mp4", 24).errors] == ["no-pictures"]
-    assert [d.code for d in film(frames, tmp_path / "no" / "such.mp4", 24).errors] == ["cannot-write"]
+    assert [d.code for d in write_film([], tmp_path / "none.mp4", 24).errors] == ["no-pictures"]
+    assert [d.code for d in write_film(frames, tmp_path / "no" / "such.mp4", 24).errors] == ["cannot-write"]
 
 
 def test_a_film_without_its_extra_names_it(monkeypatch, tmp_path):
     monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
-    report = film([np.zeros((4, 4, 3), np.uint8)], tmp_path / "film.mp4", 24)
+    report = write_film([np.zeros((4, 4, 3), np.uint8)], tmp_path / "film.mp4", 24)
     assert report.errors[0].code == "missing-extra" and "[video]" in report.errors[0].message
 
 
@@ -422,7 +422,7 @@ def test_no_face_stands_out_over_its_neighbours():
     """Triangles are widened for rays by hairs, which go by what is looked at and not by the wide table below it."""
     vertices, faces = sphere(4)
     ball = Solid("ball", vertices * 50, faces, "stone")
-    still = setting((ball,), np.array([0.0, 1, 0]))
+    still = make_setting((ball,), np.array([0.0, 1, 0]))
     corners = ball.vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.linalg.norm(normal, axis=1)[:, None]

@@ -13,17 +13,17 @@ from scipy.spatial import cKDTree
 
 from antdsl.bodies.agents.definition import Binding, Layer
 from antdsl.bodies.agents.deformers import bound
-from antdsl.bodies.agents.driving import Driven
+from antdsl.bodies.agents.driving import DrivenPose
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.agents.varied_bodies import Draws
-from antdsl.bodies.body import rotation
+from antdsl.bodies.agents.varied_bodies import VariationDraws
+from antdsl.bodies.body import rotation_matrices
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.gallery import Gallery, NoPicture
-from antdsl.outputs.paths import followed
-from antdsl.outputs.pictures.actors import actors
-from antdsl.outputs.pictures.camera import view
+from antdsl.outputs.paths import follow_agents
+from antdsl.outputs.pictures.actors import make_actors
+from antdsl.outputs.pictures.camera import make_view
 from antdsl.outputs.pictures.model import Camera, Crowd
 from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import Choices, open_scene
@@ -71,9 +71,9 @@ def test_frames_say_what_each_machine_plays(cache: Cache) -> None:
 
 
 def test_what_is_in_a_cache_says_the_body_and_the_clips(cache: Cache) -> None:
-    from antdsl.cli.info import describe
+    from antdsl.cli.info import describe_cache
 
-    lines = describe(cache)
+    lines = describe_cache(cache)
     assert "clips        walker: walk, run, idle, wave on arms" in lines and "body         walker: walker.json" in lines
 
 
@@ -86,12 +86,12 @@ def test_a_picture_is_made_of_its_own_frame_alone(cache: Cache) -> None:
 
 def test_bodies_are_where_agents_are_and_look_where_they_head(cache: Cache) -> None:
     crowd = crowd_at(cache, FRAMES)
-    above = view(Camera((0.0, 30.0, 30.0), (0.0, 0.0, 0.0)), 2560, 1440, (0.0, 1.0, 0.0))
+    above = make_view(Camera((0.0, 30.0, 30.0), (0.0, 0.0, 0.0)), 2560, 1440, (0.0, 1.0, 0.0))
     picture = replace(Gallery(cache).picture(FRAMES), items=())
-    drawn_actors = actors(picture, above)
+    drawn_actors = make_actors(picture, above)
     count = len(crowd.worn.tint) if crowd.worn else 0
     assert len(drawn_actors.mesh.vertices) == count * len(crowd.position) and len(drawn_actors.rays) == 1
-    turn = rotation(crowd.orient)
+    turn = rotation_matrices(crowd.orient)
     own = np.einsum("nji,nvj->nvi", turn, drawn_actors.mesh.vertices.reshape(-1, count, 3) - crowd.position[:, None])
     own /= crowd.scale[:, None, None]  # x ahead, y up, in body lengths, which are heights here
     assert own[:, :, 1].max(axis=1).min() > 0.9 and own[:, :, 1].max() < 1.15  # a hand that waves is higher
@@ -145,8 +145,8 @@ def test_small_bodies_have_fewer_triangles_and_the_same_pose(cache: Cache) -> No
     for k in range(3):
         for end in (np.min, np.max):
             assert np.abs(end(fine[:, :, k], axis=1) - end(rough[:, :, k], axis=1)).max() < 0.05
-    far = view(Camera((0.0, 90.0, 90.0), (0.0, 0.0, 0.0)), 320, 180, (0.0, 1.0, 0.0))
-    drawn_actors = actors(replace(Gallery(cache).picture(FRAMES), items=()), far)
+    far = make_view(Camera((0.0, 90.0, 90.0), (0.0, 0.0, 0.0)), 320, 180, (0.0, 1.0, 0.0))
+    drawn_actors = make_actors(replace(Gallery(cache).picture(FRAMES), items=()), far)
     assert len(drawn_actors.mesh.faces) == len(crowd.worn.coarse.faces) * len(crowd.position)
 
 
@@ -203,10 +203,18 @@ def test_bodies_that_differ_by_id_are_followed_into_the_frame_after() -> None:
     ids = np.array([4, 9, 2])
     upright = np.tile([0.0, 0.0, 0.0, 1.0], (3, 1))
     now, later = (
-        Crowd("ant", at, upright, np.ones(3), np.ones((3, 3)), agent_ids, driven=Driven(draws=Draws(agent_ids, 5, "ant")))
+        Crowd(
+            "ant",
+            at,
+            upright,
+            np.ones(3),
+            np.ones((3, 3)),
+            agent_ids,
+            driven=DrivenPose(draws=VariationDraws(agent_ids, 5, "ant")),
+        )
         for at, agent_ids in ((np.zeros((3, 3)), ids), (np.arange(9.0).reshape(3, 3), ids[::-1]))
     )
-    next_crowd = followed(now, later)
+    next_crowd = follow_agents(now, later)
     draws = next_crowd.driven.draws
     assert draws is not None and (draws.seed, draws.species) == (5, "ant") and np.array_equal(draws.ids, ids)
     assert np.array_equal(next_crowd.position, later.position[::-1])

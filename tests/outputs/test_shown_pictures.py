@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from antdsl.bodies.agents.driving import Driven
+from antdsl.bodies.agents.driving import DrivenPose
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.cache.cache_writer import read_checkpoint
 from antdsl.outputs.gallery import Gallery
@@ -124,7 +124,7 @@ def test_a_state_shows_a_layer_and_a_channel_as_long_as_it_lasts(cache: Cache) -
     assert np.isnan(early_frame["channels.bug.mouth_open"]).all() and (late_frame["channels.bug.mouth_open"] == 0.5).all()
     crowd = Gallery(cache).picture(9).crowds[0]
     assert crowd.worn is not None and crowd.worn.layers == ("crumb",)
-    still = Driven(looks=crowd.driven.looks)
+    still = DrivenPose(looks=crowd.driven.looks)
     opened, shut = (crowd.worn.posed(crowd.plays, len(crowd.position), driven=each)[0] for each in (crowd.driven, still))
     moved = np.abs(opened - shut).max(axis=(0, 2)) > 1e-4
     assert moved.sum() == 1 and np.linalg.norm(opened - shut, axis=2).max() == pytest.approx(0.1, abs=1e-5)  # half of 2 mm of 10
@@ -139,7 +139,7 @@ def test_a_head_turns_with_all_that_is_on_it_and_nothing_else(cache: Cache) -> N
     own = look[crowd.ids]
     turned, ahead = (
         crowd.worn.posed(crowd.plays, len(crowd.position), driven=each)[0]
-        for each in (crowd.driven, Driven(crowd.driven.channels))
+        for each in (crowd.driven, DrivenPose(crowd.driven.channels))
     )
     pivot = np.array([0.5, 0.2, 0.0], np.float32)
     still = np.abs(turned - ahead).max(axis=(0, 2)) < 1e-6

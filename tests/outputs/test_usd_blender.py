@@ -21,7 +21,7 @@ pytest.importorskip("pxr")
 
 from test_usd_crowds import exported, recorded
 
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.light import decode_srgb
 
 pytestmark = pytest.mark.slow
 FORAGING = Path(__file__).parents[2] / "examples" / "foraging"
@@ -59,6 +59,6 @@ def test_blender_draws_ants_in_their_colours_and_items_in_their_places(python: s
         for name, place in zip(group.names, group.position, strict=True):
             assert math.dist(report["items"][name], (place[0] / 1000, -place[2] / 1000, place[1] / 1000)) < 1e-5
     states = cache.manifest.species[0].machines[0].states
-    expected = sorted(decoded(np.array(states[k].colour)).tolist() for k in np.unique(arrays["state"]).tolist())
+    expected = sorted(decode_srgb(np.array(states[k].colour)).tolist() for k in np.unique(arrays["state"]).tolist())
     assert np.allclose(sorted(report["colours"]), expected, atol=2e-3)
     assert report["tinted"] > 20, "pixels as saturated as the states"

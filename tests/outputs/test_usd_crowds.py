@@ -11,16 +11,16 @@ import pytest
 
 pxr = pytest.importorskip("pxr")
 
-from antdsl.bodies.agents.definition import Between, Binding, Blend, Capture, Channel, Definition, Layer, Rig, Shape  # noqa: E402  # noqa: E402  # noqa: E402
+from antdsl.bodies.agents.definition import Binding, Blend, Capture, Channel, Definition, InBetweens, Layer, Rig, Shape  # noqa: E402  # noqa: E402  # noqa: E402
 from antdsl.bodies.agents.poses import Poses  # noqa: E402
-from antdsl.bodies.body import rotation  # noqa: E402
+from antdsl.bodies.body import rotation_matrices  # noqa: E402
 from antdsl.bodies.posed_body import PosedBody  # noqa: E402
 from antdsl.outputs.cache.cache_reader import Cache, open_cache  # noqa: E402
-from antdsl.outputs.exports import SomeAgents  # noqa: E402
+from antdsl.outputs.exports import AgentSubset  # noqa: E402
 from antdsl.outputs.gallery import Gallery  # noqa: E402
 from antdsl.outputs.pictures.model import Picture  # noqa: E402
 from antdsl.outputs.recording import begin, record  # noqa: E402
-from antdsl.outputs.usd.moments import rotation_vector, turned_by  # noqa: E402
+from antdsl.outputs.usd.moments import rotate_by, rotation_vector  # noqa: E402
 from antdsl.outputs.usd.stage import UsdOptions, export_instances, export_xforms  # noqa: E402
 from antdsl.pipeline import Choices, open_scene  # noqa: E402
 from antdsl.runtime import Options  # noqa: E402
@@ -148,9 +148,9 @@ def test_an_agent_with_a_skeleton_is_an_instance_posed_as_in_pictures(people: Ca
         assert crowd.worn is not None and crowd.ids is not None
         poses = crowd.worn.poses(crowd.plays, PEOPLE, feet=crowd.feet_beside(np.arange(PEOPLE)))
 
-        points = crowd.worn.shaped(poses)[0]
+        points = crowd.worn.shape_points(poses)[0]
         for k in range(0, PEOPLE, 3):
-            mine = points[k] * crowd.scale[k] @ rotation(crowd.orient[k : k + 1])[0].T + crowd.position[k]
+            mine = points[k] * crowd.scale[k] @ rotation_matrices(crowd.orient[k : k + 1])[0].T + crowd.position[k]
             theirs = skinned(stage, f"/World/walker/agent_{crowd.ids[k]}", frame)
             assert np.abs(mine - theirs).max() < 1e-5 * crowd.scale[k]
 
@@ -202,11 +202,11 @@ def test_velocities_lead_to_the_next_frame(people: Cache, tmp_path: Path) -> Non
         for share in (0.5, 1.0):
             transforms = instancer.ComputeInstanceTransformsAtTime(frame + share, frame, UsdGeom.PointInstancer.ExcludeProtoXform)
             place = arrays["P"] + (next_arrays["P"].astype(np.float64) - arrays["P"]) * share
-            orient = turned_by(unit(arrays["orient"]), np.radians(turn) / fps * share)
+            orient = rotate_by(unit(arrays["orient"]), np.radians(turn) / fps * share)
             for k, matrix in enumerate(transforms):
                 assert np.allclose(matrix.ExtractTranslation(), place[k], atol=1e-4)
                 axes = np.array([matrix.TransformDir(Gf.Vec3d(*axis)).GetNormalized() for axis in np.eye(3).tolist()])
-                assert np.abs(axes.T - rotation(orient[k : k + 1])[0]).max() < 2e-3, "orientations of half precision"
+                assert np.abs(axes.T - rotation_matrices(orient[k : k + 1])[0]).max() < 2e-3, "orientations of half precision"
 
 
 def unit(orient: np.ndarray) -> np.ndarray:
@@ -218,7 +218,7 @@ def test_turns_between_orientations_are_those_that_lead_there() -> None:
     rng = np.random.default_rng(3)
     a, b = (unit(rng.normal(size=(50, 4))) for _ in range(2))
     b[:5] = -a[:5]  # the same orientation
-    orientations = turned_by(a, rotation_vector(a, b))
+    orientations = rotate_by(a, rotation_vector(a, b))
     assert np.abs(np.abs((orientations * b).sum(axis=1)) - 1).max() < 1e-12
     assert np.abs(rotation_vector(a, b)[:5]).max() < 1e-7 and np.linalg.norm(rotation_vector(a, b), axis=1).max() <= np.pi + 1e-9
 
@@ -226,7 +226,7 @@ def test_turns_between_orientations_are_those_that_lead_there() -> None:
 def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cache, tmp_path: Path) -> None:
     from pxr import UsdGeom, UsdShade
 
-    from antdsl.outputs.pictures.light import decoded
+    from antdsl.outputs.pictures.light import decode_srgb
 
     stage = exported(people, tmp_path / "out.usdc", skeletons=0)
     instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
@@ -237,13 +237,13 @@ def test_prototypes_are_the_nearest_poses_in_the_colour_of_the_state(people: Cac
         crowd = Gallery(people).picture(frame).crowds[0]
         assert crowd.worn is not None
         numbers, state = instancer.GetProtoIndicesAttr().Get(frame), people.frame(frame)["state"]
-        points = crowd.worn.coarse.shaped(crowd.worn.coarse.poses(crowd.plays, PEOPLE))[0]
+        points = crowd.worn.coarse.shape_points(crowd.worn.coarse.poses(crowd.plays, PEOPLE))[0]
         for k in range(PEOPLE):
             mesh = UsdGeom.Mesh(stage.GetPrimAtPath(paths[numbers[k]]))
             used.add(paths[numbers[k]])
             assert np.linalg.norm(np.array(mesh.GetPointsAttr().Get()) - points[k], axis=1).mean() < 0.03
             colour = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("displayColor").Get()
-            assert np.allclose(colour[0], decoded(np.array(states[state[k]].colour)), atol=1e-6)
+            assert np.allclose(colour[0], decode_srgb(np.array(states[state[k]].colour)), atol=1e-6)
             assert mesh.GetNormalsAttr().HasValue() and mesh.GetNormalsInterpolation() == "vertex"
         assert np.array_equal(
             UsdGeom.PrimvarsAPI(instancer).GetPrimvar("state").ComputeFlattened(frame), [states[s].name for s in state]
@@ -377,7 +377,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     shapes = {
         "face": face,
         "smiles": Shape(
-            "smiles", points + rng.normal(size=(12, 3)).astype(np.float32), faces, between=Between(("half",), (0.4,))
+            "smiles", points + rng.normal(size=(12, 3)).astype(np.float32), faces, between=InBetweens(("half",), (0.4,))
         ),
         "half": Shape("half", points + rng.normal(size=(12, 3)).astype(np.float32), faces),
         "coat": replace(face, name="coat", blend=None, capture=captured(moved)),
@@ -397,7 +397,7 @@ def test_blended_and_skinned_shapes_are_those_of_usd(tmp_path: Path) -> None:
     turns = np.array([[0.1, 0.2, 0.3, 0.9], [0.5, -0.1, 0.2, 0.8], [0, 0.3, -0.4, 0.8]])
     turns /= np.linalg.norm(turns, axis=1, keepdims=True)
     local = np.tile(np.eye(4), (3, 1, 1))
-    local[:, :3, :3], local[:, :3, 3] = rotation(turns), rng.normal(size=(3, 3))
+    local[:, :3, :3], local[:, :3, 3] = rotation_matrices(turns), rng.normal(size=(3, 3))
     placed = np.stack([local[0], local[0] @ local[1], local[0] @ local[1] @ local[2]])
     moves = UsdSkel.Animation.Define(stage, "/moves")
     moves.CreateJointsAttr(list(usd_definition.joints))
@@ -440,11 +440,11 @@ def test_feet_and_trunks_of_skeletons_are_where_pictures_have_them(breeders: Cac
     stage = exported(breeders, tmp_path / "out.usdc")
     crowd = Gallery(breeders).picture(6).crowds[0]
     assert crowd.worn is not None and crowd.feet is not None and crowd.ids is not None
-    points = crowd.worn.shaped(crowd.poses())[0]
-    flat = crowd.worn.shaped(crowd.worn.poses(crowd.plays, len(points)))[0]
+    points = crowd.worn.shape_points(crowd.poses())[0]
+    flat = crowd.worn.shape_points(crowd.worn.poses(crowd.plays, len(points)))[0]
     assert np.abs(points - flat).max() > 0.02, "feet matter"
     for k in range(0, len(points), 3):
-        mine = points[k] * crowd.scale[k] @ rotation(crowd.orient[k : k + 1])[0].T + crowd.position[k]
+        mine = points[k] * crowd.scale[k] @ rotation_matrices(crowd.orient[k : k + 1])[0].T + crowd.position[k]
         assert np.abs(mine - skinned(stage, f"/World/breeder/agent_{crowd.ids[k]}", 6)).max() < 4e-4 * crowd.scale[k]
 
 
@@ -452,12 +452,12 @@ def test_agents_without_a_place_are_invisible(people: Cache, tmp_path: Path) -> 
     from pxr import Usd, UsdGeom
 
     from antdsl.outputs.usd.instancers import InstancerWriter
-    from antdsl.outputs.usd.moments import Moments
-    from antdsl.outputs.usd.values import Out
+    from antdsl.outputs.usd.moments import TimeSamples
+    from antdsl.outputs.usd.values import StageOutput
 
     gallery, stage = Gallery(people), Usd.Stage.CreateInMemory()
-    writer = InstancerWriter(Out(stage), people.manifest.species[0], 0)
-    time_sample = Moments(gallery).at(2, 2)
+    writer = InstancerWriter(StageOutput(stage), people.manifest.species[0], 0)
+    time_sample = TimeSamples(gallery).at(2, 2)
     agents = time_sample.species[0]
     is_visible = agents.is_visible.copy()
     is_visible[3] = False
@@ -511,7 +511,7 @@ def test_who_takes_up_a_load_is_an_instance_of_the_body_that_has_one(carriers: C
 
 
 def test_some_agents_wear_what_they_wear_among_all(carriers: Cache) -> None:
-    subset_cache = SomeAgents(carriers.folder, carriers.manifest, frozenset([1, 3]))
+    subset_cache = AgentSubset(carriers.folder, carriers.manifest, frozenset([1, 3]))
     worn = set()
     for frame in carriers.frames():
         all_layers = layers_by_id(Gallery(carriers).picture(frame))
@@ -528,10 +528,10 @@ def test_things_of_one_name_and_a_field_that_is_gone_keep_apart() -> None:
     from pxr import Usd
 
     from antdsl.outputs.pictures.model import Item, Trail
-    from antdsl.outputs.usd.values import Out
+    from antdsl.outputs.usd.values import StageOutput
     from antdsl.outputs.usd.world import WorldWriter
 
-    out = Out(Usd.Stage.CreateInMemory())
+    out = StageOutput(Usd.Stage.CreateInMemory())
     assert [out.name("species", "camera"), out.name("mesh", "ant"), out.name("species", "ant")] == ["camera_2", "ant", "ant_2"]
     assert out.name("mesh", "ant") == "ant"
 

@@ -12,7 +12,7 @@ pxr = pytest.importorskip("pxr")
 import meshes  # noqa: E402
 import usd_sets  # noqa: E402
 
-from antdsl.bodies.body import rotation  # noqa: E402
+from antdsl.bodies.body import rotation_matrices  # noqa: E402
 from antdsl.cli import _run as run_command  # noqa: E402
 from antdsl.outputs.cache.cache_reader import open_cache  # noqa: E402
 from antdsl.outputs.recording import begin, record  # noqa: E402
@@ -66,7 +66,7 @@ def test_a_cache_is_read_back_from_usd(
         assert np.array_equal(np.array(ants.GetScalesAttr().Get(frame))[:, 1], arrays["pscale"])
         # where an instance turns the body's head (+x) and back (+y)
         transforms = ants.ComputeInstanceTransformsAtTime(frame, frame, UsdGeom.PointInstancer.ExcludeProtoXform)
-        for matrix, orient in zip(transforms, rotation(arrays["orient"].astype(np.float64)), strict=True):
+        for matrix, orient in zip(transforms, rotation_matrices(arrays["orient"].astype(np.float64)), strict=True):
             turn = np.array([matrix.TransformDir(Gf.Vec3d(*axis)).GetNormalized() for axis in np.eye(3).tolist()])
             assert np.abs(turn - orient.T).max() < 5e-3, "quaternions of half precision"
     poses = ants.GetPrototypesRel().GetTargets()
@@ -116,7 +116,9 @@ def test_meshes_and_camera_come_back_through_a_scene(
     moves = shot.setting.moves.meshes["roller"]
     for k in range(6):
         assert (
-            np.abs(loaded_mesh.moves.vertices(loaded_mesh.raw.vertices, k) - moves.vertices(original_mesh.vertices, k)).max()
+            np.abs(
+                loaded_mesh.moves.vertices_at(loaded_mesh.raw.vertices, k) - moves.vertices_at(original_mesh.vertices, k)
+            ).max()
             < 1e-4
         )
     camera = read_usd_camera(open_stage(Roots(tmp_path, {}), "out.usdc", "/World/camera", **stage_arguments))
@@ -136,11 +138,11 @@ def test_what_stays_for_a_while_does_not_drift(tmp_path: Path) -> None:
     """USD goes evenly from sample to sample: one that stays until it jumps has a sample before the jump."""
     from pxr import Sdf, Usd
 
-    from antdsl.outputs.usd.values import Out
+    from antdsl.outputs.usd.values import StageOutput
 
     stage = Usd.Stage.CreateInMemory()
     attribute = stage.DefinePrim("/a").CreateAttribute("x", Sdf.ValueTypeNames.Float)
-    samples = Out(stage).samples(attribute, lambda v: float(v[0]))
+    samples = StageOutput(stage).samples(attribute, lambda v: float(v[0]))
     for frame, value in enumerate((1, 1, 1, 1, 9, 9, 3), 1):
         samples.set(frame, [value])
     assert attribute.GetTimeSamples() == [1, 4, 5, 6, 7]
@@ -192,11 +194,11 @@ def test_a_mesh_that_is_dug_changes_its_faces() -> None:
     from pxr import Usd, UsdGeom
 
     from antdsl.outputs.pictures.model import Solid
-    from antdsl.outputs.usd.values import Out
+    from antdsl.outputs.usd.values import StageOutput
     from antdsl.outputs.usd.world import _MeshWriter
 
     stage = Usd.Stage.CreateInMemory()
-    writer = _MeshWriter(Out(stage), "/hill")
+    writer = _MeshWriter(StageOutput(stage), "/hill")
     box, ball = meshes.box((0, 0, 0), (1, 1, 1)), meshes.ball(2, rings=4)
     for frame, (points, faces) in enumerate((box, box, ball, ball), 1):
         writer.frame(frame, Solid("hill", points, faces))

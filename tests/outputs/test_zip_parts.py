@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from antdsl.outputs.cache import npz, zip_parts
-from antdsl.outputs.cache.zip_parts import NotStored, Stored, form_of, read_headers, stored
+from antdsl.outputs.cache.zip_parts import NotStored, Stored, form_of, read_headers, stored_file
 from antdsl.whole import write_atomically
 
 MEMBERS = [
@@ -22,7 +22,7 @@ MEMBERS = [
 
 
 def build_zip(count: int = len(MEMBERS)) -> Stored:
-    return stored((form_of(name, head, len(rest)), memoryview(rest)) for name, head, rest in MEMBERS[:count])
+    return stored_file((form_of(name, head, len(rest)), memoryview(rest)) for name, head, rest in MEMBERS[:count])
 
 
 def parts() -> list[bytes | memoryview]:
@@ -66,7 +66,7 @@ def test_headers_are_read_from_blocks_of_any_length(limit: int | None, most: int
 
 
 def test_who_knows_the_headers_sees_every_bit_that_differs_and_every_cut() -> None:
-    file = stored((form_of(name, head, len(rest[:40])), memoryview(rest[:40])) for name, head, rest in MEMBERS)
+    file = stored_file((form_of(name, head, len(rest[:40])), memoryview(rest[:40])) for name, head, rest in MEMBERS)
     data, headers = b"".join(file.parts), b"".join(file.headers)
 
     def has_change(other: bytes) -> bool:

@@ -12,20 +12,20 @@ from antdsl.passes import PASSES, optimise
 from antdsl.passes.drop_unused import drop_unused
 from antdsl.passes.fold import fold
 from antdsl.passes.hoist import hoist
-from antdsl.passes.keep import keep
+from antdsl.passes.keep import keep_senses
 from antdsl.passes.merge import merge
 from antdsl.passes.narrow import narrow
 from antdsl.pipeline import compile_files
 from antdsl.plan import lower, show, verify
 from antdsl.plan.ir import SENSES, If, Rate, Store
-from antdsl.plan.traverse import needed, operands, roots, statements
+from antdsl.plan.traverse import operands, required_nodes, roots, statements
 
 ROOT = Path(__file__).parents[2]
 CASES = sorted((ROOT / "tests" / "cases" / "plan").glob("*.ant"))
 
 
 def count(plan, op: str) -> int:
-    return sum(node.op == op for node in needed(roots(plan)))
+    return sum(node.op == op for node in required_nodes(roots(plan)))
 
 
 def all_of(plan, kind: type, phase: str | None = None) -> list:
@@ -80,10 +80,12 @@ def test_hoist_takes_what_all_pairs_share_out_of_them():
     verify(new_plan)
 
     def pairs(p) -> int:
-        return sum(n.rate is Rate.PAIR and n.op in ("mul", "div") for n in needed(roots(p)))
+        return sum(n.rate is Rate.PAIR and n.op in ("mul", "div") for n in required_nodes(roots(p)))
 
     assert pairs(new_plan) < pairs(plan)
-    assert not [n for n in needed(roots(new_plan)) if n.op == "div" and n.rate is Rate.PAIR and n.args[1].rate < Rate.PAIR]
+    assert not [
+        n for n in required_nodes(roots(new_plan)) if n.op == "div" and n.rate is Rate.PAIR and n.args[1].rate < Rate.PAIR
+    ]
 
 
 def test_hoist_shares_among_components_what_is_the_same_for_all():
@@ -95,12 +97,12 @@ def test_hoist_shares_among_components_what_is_the_same_for_all():
     verify(new_plan)
 
     def products(p) -> int:
-        return sum(n.rate is Rate.PAIR and n.op in ("mul", "neg", "div") for n in needed(roots(p)))
+        return sum(n.rate is Rate.PAIR and n.op in ("mul", "neg", "div") for n in required_nodes(roots(p)))
 
     # 1 / distance, its product with the weight, distance * (1 / size), and one product for each of x, y and z
     assert products(new_plan) == 6
     assert products(plan) == 11
-    sums = [n for n in needed(roots(new_plan)) if n.op == "reduce.sum"]
+    sums = [n for n in required_nodes(roots(new_plan)) if n.op == "reduce.sum"]
     assert [n.args[2].args[0].op for n in sums] == ["pair.x", "pair.y", "pair.z"]
 
 
@@ -114,12 +116,12 @@ def test_narrow_asks_the_cheap_half_first():
     outer = next(s for s in new_plan.species["a"].blend.statements if isinstance(s, If))
     inner = outer.then.statements[0]
     assert isinstance(inner, If)
-    assert not [n for n in needed(operands(outer)) if n.op in SENSES]
-    assert [n for n in needed(operands(inner)) if n.op == "reduce.item"]
+    assert not [n for n in required_nodes(operands(outer)) if n.op in SENSES]
+    assert [n for n in required_nodes(operands(inner)) if n.op == "reduce.item"]
 
 
 def test_keep_notes_senses_that_several_regions_ask_for():
-    plan = keep(plan_of(
+    plan = keep_senses(plan_of(
         
             "species a { let f = nearest(food)\nlet g = nearest(nest)\nstart s\n"
             "state s { steer direction(f)\nwhen touching(f) -> t }\nstate t { steer direction(g)\n"

@@ -10,8 +10,8 @@ from plan_text import codes, lowered, plan_of
 
 from antdsl.plan.lowering import expressions
 from antdsl.plan.lowering.rules import OPERATIONS
-from antdsl.plan.lowering.sets import quantum
-from antdsl.plan.traverse import needed, operands, statements
+from antdsl.plan.lowering.sets import quantum_exponent
+from antdsl.plan.traverse import operands, required_nodes, statements
 from antdsl.program import model
 from antdsl.program.model import Dim
 from antdsl.program.tables import vocabulary
@@ -145,7 +145,7 @@ def ops_of(text: str) -> dict[str, list[tuple]]:
     operations: dict[str, list[tuple]] = {}
     for species in plan.species.values():
         for phase in (species.born, species.decide, species.act, species.blend):
-            for node in needed(n for _, s in statements(phase) for n in operands(s)):
+            for node in required_nodes(n for _, s in statements(phase) for n in operands(s)):
                 operations.setdefault(node.op, []).append(node.attrs)
     return operations
 
@@ -162,7 +162,7 @@ def test_sets_become_what_the_runtime_has():
 
 
 def test_terms_of_sums_are_rounded_by_their_dimension():
-    assert [quantum(d) for d in (Dim(), Dim(length=1), Dim(length=1, time=-1), Dim(length=2), Dim(length=-1))] == [
+    assert [quantum_exponent(d) for d in (Dim(), Dim(length=1), Dim(length=1, time=-1), Dim(length=2), Dim(length=-1))] == [
         -24,
         -20,
         -20,

@@ -17,7 +17,7 @@ from antdsl.plan.lowering.actions import OPERANDS
 from antdsl.plan.lowering.rules import OPERATIONS
 from antdsl.plan.show import show
 from antdsl.plan.traverse import statements
-from antdsl.plan.verify import named
+from antdsl.plan.verify import names_by_kind
 from antdsl.program.declarations.asks import argument_type
 from antdsl.program.model import Kind
 from antdsl.program.names.scope import type_from_words
@@ -47,7 +47,7 @@ def test_every_sense_has_an_operation_and_a_function() -> None:
         assert operation.args == row.operands and operation.attrs == ((row.of,) if row.of else ()) + row.attrs
         assert operation.kind is (ir.Kind.TUPLE if op in ir.TUPLES else ir.LETTERS[row.kinds])
         assert not row.nothing or row.results[0].kind == "b"
-        assert not row.of or row.of in named(plan_of("species ant {}\n"))
+        assert not row.of or row.of in names_by_kind(plan_of("species ant {}\n"))
 
 
 def test_every_word_of_a_sense_has_a_rule_and_a_name_in_the_vocabulary() -> None:
@@ -105,7 +105,7 @@ def test_every_effect_is_lowered_and_settled() -> None:
     for op, row in EFFECTS.items():
         assert op == row.op and row.phase in names and row.optional <= set(row.operands)
         arguments = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil", "whom": "ant"}
-        assert "{" not in effects.phrase(row.plan_text, arguments) + effects.phrase(row.trace, arguments)
+        assert "{" not in effects.fill_template(row.plan_text, arguments) + effects.fill_template(row.trace, arguments)
         assert not row.above_0 or row.refused
         assert bool(row.computed) == (op in OPERANDS) and len(row.args) - len(row.numbers) <= 1
         assert row.computed or all(argument_type(arg).kind in (Kind.NUMBER, Kind.AGENT) for arg in row.numbers)
@@ -116,7 +116,7 @@ def test_every_effect_is_lowered_and_settled() -> None:
 def marked(world: World) -> None:
     """Add up what the ants ask to be marked, in their register `marks`."""
     for population in world.populations.values():
-        for entry in population.effects.drained("mark"):
+        for entry in population.effects.drain("mark"):
             population.now["marks"][entry.rows] += entry.arg(0)
 
 

@@ -53,7 +53,7 @@ def test_a_reload_finds_its_shot_made(session: Session, compiled: list[int]) -> 
     session.step()
     initial_shot, hash_ = session.shot, session.hash
     edit(session, "forager.ant", "30 mm/s", "36 mm/s")
-    session.foresee()
+    session.precompile()
     assert session.shot is initial_shot and session.hash == hash_ and not session.edited
     outcome = session.reload()
     assert outcome.ok and len(compiled) == 1 and pace(session) == 36
@@ -73,7 +73,7 @@ CHANGES: dict[str, Callable[[Session], None]] = {
 @pytest.mark.parametrize("what", CHANGES)
 def test_later_changes_are_compiled_again(session: Session, compiled: list[int], what: str) -> None:
     edit(session, "forager.ant", "30 mm/s", "36 mm/s")
-    session.foresee()
+    session.precompile()
     CHANGES[what](session)
     outcome = session.reload()
     assert outcome.ok, [d.message for d in outcome.report.errors]
@@ -85,7 +85,7 @@ def test_later_changes_are_compiled_again(session: Session, compiled: list[int],
 
 def test_a_mesh_that_is_gone_by_then_is_complained_about(session: Session) -> None:
     edit(session, "forager.ant", "30 mm/s", "36 mm/s")
-    session.foresee()
+    session.precompile()
     session.compiler.scene.with_name("stones.ply").unlink()
     assert [d.code for d in session.reload().report.errors] == ["no-such-file"]
     assert pace(session) == 30
@@ -96,7 +96,7 @@ def test_a_file_that_is_half_written_is_no_reason_to_do_anything(session: Sessio
     program_text = program.read_text().replace("30 mm/s", "36 mm/s")
     program.write_text(program_text[: len(program_text) // 2])
     initial_hash = session.hash
-    session.foresee()
+    session.precompile()
     assert session.hash == initial_hash
     program.write_text(program_text)
     assert session.reload().ok and len(compiled) == 2 and pace(session) == 36
@@ -106,7 +106,7 @@ def test_layers_that_are_off_stay_off(session: Session, compiled: list[int]) -> 
     layer = session.shot.plan.species["forager"].layers[0].span.text
     assert session.layer("forager", layer, on=False).ok
     edit(session, "forager.ant", "30 mm/s", "36 mm/s")
-    session.foresee()
+    session.precompile()
     assert session.reload().ok and len(compiled) == 2
     assert session.shot.plan.species["forager"].layers[0].span.text != layer
     assert pace(session) == 36
@@ -121,7 +121,7 @@ def test_the_run_is_the_same_as_without(session: Session, tmp_path: Path) -> Non
             each.step()
         edit(each, "forager.ant", "steer wander(swing: swing)", "steer wander(swing: 0.5 * swing)")
         if each is session:
-            each.foresee()
+            each.precompile()
         assert each.reload().ok
         for _ in range(3):
             each.step()

@@ -17,13 +17,13 @@ from PIL import Image
 
 from antdsl.bodies.agents.blending import Playing, posed
 from antdsl.bodies.agents.definition import (
-    Between,
     Binding,
     Blend,
     Capture,
     Channel,
     Clip,
     Definition,
+    InBetweens,
     Layer,
     Leg,
     Rig,
@@ -31,28 +31,28 @@ from antdsl.bodies.agents.definition import (
     TransformGroup,
     Variation,
 )
-from antdsl.bodies.agents.driving import Driven, with_looks
+from antdsl.bodies.agents.driving import DrivenPose, with_looks
 from antdsl.bodies.agents.leg_ik import Legs, PlacedFeet
-from antdsl.bodies.agents.machine_clips import EARLIER, MachineClips, Played, machines_playing
+from antdsl.bodies.agents.machine_clips import EARLIER, MachineClips, PlayedClip, playing_of_machines
 from antdsl.bodies.agents.poses import ClipTable, clip_table
 from antdsl.bodies.agents.transforms import world_matrices
-from antdsl.bodies.agents.varied_bodies import Draws, place_of, size_of
+from antdsl.bodies.agents.varied_bodies import VariationDraws, colour_position, size_of
 from antdsl.bodies.body import orientation
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.skinned_mesh import blend_targets
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.timeline import Light
-from antdsl.preview.viewing.acting import blended_by, packed, stances
+from antdsl.preview.timeline import LightFrame
+from antdsl.preview.viewing.acting import blend_weights, pack_clips, stance_arrays
 from antdsl.preview.viewing.bodies import Outfit, rig_packet, traits
 from antdsl.runtime.feet.state import Feet
-from antdsl.runtime.feet.trunk import quaternions
+from antdsl.runtime.feet.trunk import slope_quaternions
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
 PLAYS = (
-    Played("sway", left="nod", up="reach"), Played("nod"), Played("reach", "arms"), Played("gone"),
-    Played("nod", "arms", add=True),
+    PlayedClip("sway", left="nod", up="reach"), PlayedClip("nod"), PlayedClip("reach", "arms"), PlayedClip("gone"),
+    PlayedClip("nod", "arms", add=True),
 )  # fmt: skip
 CAMERA = {"at": [50, 40, 120], "look_at": [50, 0, 50], "focal": 35}
 CUBE = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
@@ -134,7 +134,7 @@ def frame(plays: tuple[MachineClips, ...], number: int = 20, extra_arrays: Mappi
         "ant/speed": np.zeros(count, np.float32), "ant/born": np.zeros(count, np.int32),
         "ant/state/main": np.zeros(count, np.uint8),
     }  # fmt: skip
-    arrays |= {f"ant/plays/{name}": packed(each, loops) for name, each in zip(("main", "arms"), plays, strict=True)}
+    arrays |= {f"ant/plays/{name}": pack_clips(each, loops) for name, each in zip(("main", "arms"), plays, strict=True)}
     arrays |= {f"ant/{name}": array for name, array in {"lean": leans(count), **(extra_arrays or {})}.items()}
     return pack("frame", arrays, frame=number, light=False, felt=[])
 
@@ -151,7 +151,7 @@ def expected_bones(body: Definition, plays: tuple[MachineClips, ...], level: Pos
 
 def playing(table: ClipTable, plays: tuple[MachineClips, ...]) -> Playing:
     count = len(plays[0].clip)
-    return machines_playing(table, PLAYS, plays, count, leans(count)[:, :2].astype(np.float32) / 127)
+    return playing_of_machines(table, PLAYS, plays, count, leans(count)[:, :2].astype(np.float32) / 127)
 
 
 def in_bones(body: Definition, level: PosedBody, world: NDArray[np.float32]) -> NDArray[np.float64]:
@@ -159,7 +159,7 @@ def in_bones(body: Definition, level: PosedBody, world: NDArray[np.float32]) -> 
     square[:, :, :3] = world[:, level.mesh.joint]
     inverse = np.tile(np.eye(4), (len(level.mesh.joint), 1, 1))
     inverse[:, :3] = level.mesh.inverse
-    return np.asarray((body.base()[None, None] @ square @ inverse[None])[:, :, :3])
+    return np.asarray((body.base_matrix()[None, None] @ square @ inverse[None])[:, :, :3])
 
 
 def legged() -> Definition:
@@ -169,14 +169,14 @@ def legged() -> Definition:
     return replace(body, legs=(Leg("left", "j3", "j4", "j5"), Leg("right", "j1", "j2", "j6")), clips=clips)
 
 
-def standing(count: int) -> tuple[Feet, Light]:
+def standing(count: int) -> tuple[Feet, LightFrame]:
     """Feet here and there around agents that look anywhere, on sloping ground."""
     random = np.random.default_rng(9)
     position = random.uniform(0, 60, (count, 3)).astype(np.float32)
     heading, up = (
         np.rint(127 * random.normal(mean, 0.3, (count, 3))).clip(-127, 127).astype(np.int8) for mean in ((1, 0, 0), (0, 1, 0))
     )
-    light = Light(np.arange(10, 10 + count), position, heading, up, np.full(count, 4, np.float32), {})
+    light = LightFrame(np.arange(10, 10 + count), position, heading, up, np.full(count, 4, np.float32), {})
     feet = Feet.none(2)
     feet.shown = position.T[:, :, None] + random.normal(0, 2.5, (3, count, 2))
     feet.swing = np.where(random.random((count, 2)) < 0.6, np.float32(-1), np.float32(0.5))
@@ -223,13 +223,17 @@ def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
     legs, level, table = Legs(body), PosedBody(body, PLAYS), clip_table(body)
     stands = legs.stance_weights(PLAYS, plays, count)
     assert 0 < stands.min() < 0.9 and stands.max() == 1
-    placed = PlacedFeet(feet.shown.transpose(1, 2, 0), feet.down.astype(np.uint8), feet.phase, feet.rise, quaternions(feet.slope))
+    placed = PlacedFeet(
+        feet.shown.transpose(1, 2, 0), feet.is_standing.astype(np.uint8), feet.phase, feet.rise, slope_quaternions(feet.slope)
+    )
     turned = orientation(light.heading.astype(np.float64), light.up.astype(np.float64))
-    beside = placed.beside(light.position, turned, light.size).scale_trunk(stands)
+    beside = placed.relative_to(light.position, turned, light.size).scale_trunk(stands)
     poses = posed(table, body.groups, playing(table, plays))
     expected = in_bones(body, level, legs.bend_legs(poses, beside, stands).world)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3, "legs and trunks are moved"
-    page.tell(scene(camera=CAMERA), texts(), status(), rig(body), frame(plays, extra_arrays=stances(legs, feet, light, stands)))
+    page.tell(
+        scene(camera=CAMERA), texts(), status(), rig(body), frame(plays, extra_arrays=stance_arrays(legs, feet, light, stands))
+    )
     page.page.wait_for_timeout(300)
     for row in range(count):
         assert np.abs(bones(page, 10 + row) - expected[row]).max() < 2e-3, row
@@ -242,7 +246,7 @@ def test_parts_look_where_antdsl_has_them_look(page: Stage) -> None:
     level, table = PosedBody(body, PLAYS), clip_table(body)
     poses = posed(table, body.groups, playing(table, plays))
     directions = looks.astype(np.float32) / np.linalg.norm(looks, axis=1, keepdims=True).astype(np.float32)
-    turned = with_looks(table, poses, {"arms": directions}, body.groups, body.base()[:3, :3])
+    turned = with_looks(table, poses, {"arms": directions}, body.groups, body.base_matrix()[:3, :3])
     expected = in_bones(body, level, turned.world)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
     message = rig_packet("ant", Outfit(body, PLAYS, (), ("arms",), True), ("main", "arms"))
@@ -272,13 +276,13 @@ def test_agents_show_the_layers_that_they_wear(page: Stage) -> None:
     assert coloured(0) == none
 
 
-def trait_arrays(worn: Outfit, plays: tuple[MachineClips, ...], driven: Driven) -> dict[str, NDArray[np.float32]]:
+def trait_arrays(worn: Outfit, plays: tuple[MachineClips, ...], driven: DrivenPose) -> dict[str, NDArray[np.float32]]:
     """What a frame tells of what bodies differ by."""
     assert driven.draws is not None
     body_traits, differ = traits(worn), worn.definition.variation
-    parts = [*blended_by(worn, body_traits, plays, len(driven.draws.ids), driven.channels, leans(12)[:, :2] / 127).T]
+    parts = [*blend_weights(worn, body_traits, plays, len(driven.draws.ids), driven.channels, leans(12)[:, :2] / 127).T]
     parts += [size_of(differ, name, driven.draws) for name in body_traits.scales]
-    parts += [place_of(differ, name, driven.draws) for name in body_traits.materials]
+    parts += [colour_position(differ, name, driven.draws) for name in body_traits.materials]
     padded_array = np.zeros((-(-len(parts) // 3) * 3, len(driven.draws.ids)), np.float32)
     for k, part in enumerate(parts):
         padded_array[k] = part
@@ -288,7 +292,7 @@ def trait_arrays(worn: Outfit, plays: tuple[MachineClips, ...], driven: Driven) 
 def test_parts_are_as_large_as_antdsl_has_them_by_id(page: Stage) -> None:
     body, plays = crane(), machines(12)
     body = replace(body, variation=Variation({"arms": (0.6, 1.8)}))
-    driven = Driven(draws=Draws(np.arange(10, 22), 3, "ant"), lean=leans(12)[:, :2].astype(np.float32) / 127)
+    driven = DrivenPose(draws=VariationDraws(np.arange(10, 22), 3, "ant"), lean=leans(12)[:, :2].astype(np.float32) / 127)
     level = PosedBody(body, PLAYS)
     expected = in_bones(body, level, level.poses(plays, 12, driven=driven).world)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3
@@ -314,7 +318,7 @@ def blended() -> Definition:
 
     shapes = [
         shape("base", 0, blend=Blend(("puffed", "torn"), ("puff", "tear"))),
-        shape("puffed", 0.3), shape("torn", 0.3, between=Between(("half",), (0.4,))), shape("half", 0.3),
+        shape("puffed", 0.3), shape("torn", 0.3, between=InBetweens(("half",), (0.4,))), shape("half", 0.3),
     ]  # fmt: skip
     values = random.uniform(0, 1, (9, 1)).astype(np.float32)
     return replace(
@@ -329,10 +333,10 @@ def blended() -> Definition:
 def test_blend_shapes_go_by_clips_and_by_what_is_said_of_channels() -> None:
     body, plays = blended(), machines(12)
     said = np.where(np.arange(12) % 3 == 0, np.nan, np.linspace(-0.5, 1.5, 12)).astype(np.float32)
-    driven = Driven({"puff": said}, draws=Draws(np.arange(10, 22)), lean=leans(12)[:, :2].astype(np.float32) / 127)
+    driven = DrivenPose({"puff": said}, draws=VariationDraws(np.arange(10, 22)), lean=leans(12)[:, :2].astype(np.float32) / 127)
     worn, level = Outfit(body, PLAYS, leans=True), PosedBody(body, PLAYS)
     body_traits = traits(worn)
-    weights = blended_by(worn, body_traits, plays, 12, driven.channels, driven.lean)
+    weights = blend_weights(worn, body_traits, plays, 12, driven.channels, driven.lean)
     assert len(body_traits.targets) == 3 and len(np.unique(weights[:, 1:])) > 6
     targets = blend_targets(level.shaded, level.bindings, level.taken)
     moved = sum(weights[:, k, None, None] * targets[each][None] for k, each in enumerate(body_traits.targets))
@@ -349,8 +353,8 @@ def test_blend_shapes_are_drawn_as_a_body_of_that_shape(page: Stage) -> None:
     def picture(body: Definition, weight: float) -> NDArray[np.int64]:
         worn = Outfit(body, PLAYS, leans=True)
         page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
-        driven = Driven(
-            {"puff": np.full(12, weight, np.float32), "tear": np.zeros(12, np.float32)}, draws=Draws(np.arange(10, 22))
+        driven = DrivenPose(
+            {"puff": np.full(12, weight, np.float32), "tear": np.zeros(12, np.float32)}, draws=VariationDraws(np.arange(10, 22))
         )
         page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, driven)))
         return take_screenshot(page)
@@ -373,18 +377,18 @@ def test_materials_have_the_colours_that_antdsl_draws_by_id(page: Stage) -> None
     slate, ends = {"slate": (0.5, 0.5, 0.5)}, ((0.9, 0.0, 0.0), (0.0, 0.0, 0.9), (0.0, 0.9, 0.0))
     box = replace(crane().shapes["box"], materials=("slate",), material=np.zeros(12, np.int32))
     varied = replace(crane(), materials=slate, shapes={"box": box}, variation=Variation({}, {"slate": ends}))
-    plays, draws = machines(12), Draws(np.arange(10, 22), 4, "ant")
+    plays, draws = machines(12), VariationDraws(np.arange(10, 22), 4, "ant")
 
     def picture(body: Definition) -> NDArray[np.int64]:
         worn = Outfit(body, PLAYS, leans=True)
         page.tell(scene(camera=CAMERA), texts(), status(), rig_packet("ant", worn, ("main", "arms")))
-        page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, Driven(draws=draws))))
+        page.tell(frame(plays, extra_arrays=trait_arrays(worn, plays, DrivenPose(draws=draws))))
         return take_screenshot(page)
 
     page.tell(scene(camera=CAMERA), texts(), status())
     several = picture(varied)
     level = PosedBody(varied, PLAYS)
-    colours = level.colours(Driven(draws=draws))[:, 0]
+    colours = level.colours(DrivenPose(draws=draws))[:, 0]
     alike, masks = np.zeros(several.shape[:2], bool), 0
     for row in range(12):
         uniform_picture = picture(replace(varied, materials={"slate": tuple(map(float, colours[row]))}, variation=Variation()))

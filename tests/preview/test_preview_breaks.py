@@ -13,14 +13,14 @@ from preview_page import few
 from antdsl.preview import Live, Session
 from antdsl.preview.breaking import Breakpoints
 from antdsl.preview.breaking.conditions import condition_plan
-from antdsl.preview.breaking.model import Misfit
+from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.observing import spec_judgement
 from antdsl.preview.observing.explainer import Explainer
 from antdsl.preview.observing.observer import Stop
 from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.requests import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
 from antdsl.runtime import Options
-from antdsl.specs.cases import cases
+from antdsl.specs.cases import collect_cases
 from antdsl.specs.running import Work, run_cases
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
@@ -95,10 +95,10 @@ class Driver:
     def step(self) -> Stop | None:
         stop = None
         for each in (self.specs, self.breaks):
-            each.stepping(self.session)
+            each.before_step(self.session)
         self.session.step()
         for each in (self.specs, self.breaks):
-            stop = each.stepped(self.session) or stop
+            stop = each.after_step(self.session) or stop
         return stop
 
     def play(self, frames: int) -> dict[int, Stop]:
@@ -179,7 +179,7 @@ def test_simultaneous_stops_are_reported_together(scene: Path) -> None:
 def test_a_condition_that_is_none_is_refused_in_words(scene: Path, text: str, message: str, help: str) -> None:
     session, _ = Session.open(scene)
     assert session is not None
-    with pytest.raises(Misfit) as error_info:
+    with pytest.raises(BreakpointError) as error_info:
         condition_plan(session.shot, text)
     assert message in error_info.value.message
     assert error_info.value.help.startswith(help)
@@ -318,7 +318,7 @@ def test_a_breakpoint_that_is_wrong_is_not_added(scene: Path) -> None:
     driver = Driver(scene, state("rest"), condition("count(state == rest) > 1"))
     initial_message = driver.breaks.message()
     wrong = ConditionBreak(kind="condition", text="count(state == rset) > 1")
-    with pytest.raises(Misfit, match="rset"):
+    with pytest.raises(BreakpointError, match="rset"):
         driver.breaks.set(driver.session, [each.ask for each in driver.breaks.breaks], wrong)
     assert driver.breaks.message() == initial_message
     good = ConditionBreak(kind="condition", text="count(state == rest) > 2")
@@ -403,7 +403,7 @@ def test_a_spec_that_takes_long_is_let_go_of_unless_it_is_waited_for(scene: Path
 
 def test_specs_stand_as_the_tests_find_them(scene: Path) -> None:
     edit(scene, "within 0.5 s", "within 0.1 s")
-    runs, report = cases([scene])
+    runs, report = collect_cases([scene])
     assert [each.code for each in report.errors] == ["no-such-file"]  # the other scene of one of them
     run_cases(runs, Work(Options()))
     failure_frames = {case.name: case.failures[0].frame if case.failures else None for run in runs for case in run.cases}

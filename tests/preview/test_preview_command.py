@@ -246,11 +246,11 @@ def test_wrong_use_is_reported(words: list[str], code: int, said: str, tmp_path:
     from typer.testing import CliRunner
 
     from antdsl.cli import app
-    from antdsl.cli.exits import Stop
+    from antdsl.cli.exits import CommandError
 
     words[0] = str(ROOT / "examples" / "minimal" / words[0])
     result = CliRunner().invoke(app, ["preview", *words, "--no-open"])
-    if isinstance(result.exception, Stop):
+    if isinstance(result.exception, CommandError):
         assert result.exception.code == code
         assert said in f"{result.exception.message}{result.exception.hint}{result.output}"
     else:

@@ -148,11 +148,11 @@ def test_what_is_set_by_hand_ahead_is_no_edit_of_files(folder: Path) -> None:
     session, _ = Session.open(EXAMPLES / "foraging" / "scene.yaml")
     assert session is not None
     session.step()
-    assert session.field("trail", on=False).ok
+    assert session.switch_field("trail", on=False).ok
     session.step()
     session.seek(1)
     assert session.reload().line == "nothing has changed"
-    assert session.head == 3
+    assert session.last_frame == 3
 
 
 def test_a_mesh_that_is_gone_is_taken_away(folder: Path, open_lives: list[Live]) -> None:

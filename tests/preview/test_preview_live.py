@@ -14,7 +14,7 @@ from live_client import Page, hashes
 from preview_page import few
 
 from antdsl.pipeline import simulate
-from antdsl.preview import Busy, Compiler, Live, Outcome, Session
+from antdsl.preview import Compiler, Live, Outcome, QueueFull, Session
 from antdsl.runtime import state_hash
 
 
@@ -205,7 +205,7 @@ def test_steps_on_end_can_be_paused_and_a_newer_seek_goes_before_an_older_one(li
 def test_too_much_at_once_is_refused(scene: Path) -> None:
     live = Live.open(scene)  # not started: nothing is done
     page = Page(live)
-    with pytest.raises(Busy):
+    with pytest.raises(QueueFull):
         for _ in range(1000):
             page.ask("pause")
     live.leave(page)  # always possible
@@ -244,7 +244,7 @@ def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, asked:
     for _ in range(asked):
         op, what = asks[int(draw.integers(len(asks)))]()
         page = pages[int(draw.integers(2))]
-        with contextlib.suppress(Busy):
+        with contextlib.suppress(QueueFull):
             page.ask(op, **what)
         if draw.random() < 0.1:
             program.write_text(texts[int(draw.integers(len(texts)))])
@@ -258,7 +258,7 @@ def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, asked:
         try:
             page.ask("pause")
             break
-        except Busy:
+        except QueueFull:
             time.sleep(0.05)
     page.until(lambda: page.last("problems") is not None and not page.last("problems")["problems"])
     for name in {param["name"] for param in page.last("scene")["params"]}:
@@ -298,13 +298,13 @@ def test_endless_requests_do_not_hold_up_the_ants(live: Live, monkeypatch: pytes
     page.ask("speed", times=0.0)
     page.ask("play")
     page.until(lambda: page.frames and page.frames[-1][0] > 5)
-    slow = Session.field
+    slow = Session.switch_field
 
     def slower(session: Session, name: str, on: bool) -> Outcome:
         time.sleep(0.02)
         return slow(session, name, on)
 
-    monkeypatch.setattr(Session, "field", slower)
+    monkeypatch.setattr(Session, "switch_field", slower)
     frame = page.frames[-1][0]
     for _ in range(200):
         eager.ask("field", name="no", on=True)

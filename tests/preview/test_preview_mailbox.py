@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 
 from antdsl.preview.serving import addresses, ready
-from antdsl.preview.serving.addresses import CannotListen, is_loopback, listen
-from antdsl.preview.serving.connections import Bucket
+from antdsl.preview.serving.addresses import ListenError, is_loopback, listen
+from antdsl.preview.serving.connections import TokenBucket
 from antdsl.preview.serving.mailbox import Mailbox
 
 
@@ -156,7 +156,7 @@ def test_a_mailbox_whose_loop_has_ended_accepts_messages() -> None:
 
 def test_a_bucket_gives_what_it_holds_and_then_by_the_second() -> None:
     now = [0.0]
-    bucket = Bucket(10, 5, lambda: now[0])
+    bucket = TokenBucket(10, 5, lambda: now[0])
     assert [bucket.take() for _ in range(7)] == [True] * 5 + [False] * 2
     now[0] = 0.25
     assert [bucket.take() for _ in range(3)] == [True, True, False]
@@ -175,7 +175,7 @@ def test_a_port_that_is_taken_leads_to_the_next() -> None:
         assert addresses.PORT <= ports[0] < ports[1]
         assert two.addresses == (f"http://127.0.0.1:{ports[1]}/",)
         assert two.names == {f"{name}:{ports[1]}" for name in ("localhost", "127.0.0.1", "[::1]")}
-        with pytest.raises(CannotListen, match=f"port {ports[0]} is taken"):
+        with pytest.raises(ListenError, match=f"port {ports[0]} is taken"):
             listen(port=ports[0])
     finally:
         one.close()
@@ -197,7 +197,7 @@ def test_a_port_taken_at_the_other_loopback_is_refused() -> None:
     with socket.socket(socket.AF_INET6) as other:
         other.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
         other.bind(("::1", 0))
-        with pytest.raises(CannotListen, match="is taken"):
+        with pytest.raises(ListenError, match="is taken"):
             listen(port=other.getsockname()[1])
 
 
@@ -214,9 +214,9 @@ def test_which_hosts_are_this_machine_only() -> None:
     assert is_loopback(None) and is_loopback("127.0.0.1") and is_loopback("::1") and is_loopback("127.8.8.8")
     assert not is_loopback("0.0.0.0") and not is_loopback("::") and not is_loopback("192.0.2.7")
     for unknown in ("no such host", "a..b", "x" * 300, ""):
-        with pytest.raises(CannotListen):
+        with pytest.raises(ListenError):
             is_loopback(unknown) or listen(unknown)
-    with pytest.raises(CannotListen, match=r"has no address `192\.0\.2\.7`"):
+    with pytest.raises(ListenError, match=r"has no address `192\.0\.2\.7`"):
         listen("192.0.2.7")
 
 

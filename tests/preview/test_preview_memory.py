@@ -15,9 +15,9 @@ from preview_page import few
 from antdsl.preview import Live, Session, timeline
 from antdsl.preview.binary_packets import unpack
 from antdsl.preview.observing.spec_judgement import Specs
-from antdsl.preview.viewing.acting import remember, remembered
+from antdsl.preview.viewing.acting import store_poses, stored_poses
 from antdsl.preview.viewing.curves import SentCurves
-from antdsl.preview.viewing.scene import Box
+from antdsl.preview.viewing.scene import BoundingBox
 
 
 @pytest.fixture
@@ -57,7 +57,7 @@ def test_poses_are_stored_for_the_latest_frames_only(scene: Path) -> None:
     session = opened(scene, every=2, budget=20 * bare.timeline.nbytes)
     for _ in range(120):
         session.step()
-        remember(session)
+        store_poses(session)
     session.step()
     history = session.timeline
     assert history.nbytes <= history.budget and 0 < history.poses.nbytes <= history.budget / 4
@@ -66,7 +66,7 @@ def test_poses_are_stored_for_the_latest_frames_only(scene: Path) -> None:
     )
     assert 5 < len(history.poses) < len(history.light)
     assert list(history.poses) == list(range(122 - len(history.poses), 122))
-    assert {"forager/plays/main", "forager/wears"} <= remembered(session, 121)["forager"].keys()
+    assert {"forager/plays/main", "forager/wears"} <= stored_poses(session, 121)["forager"].keys()
 
 
 def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -77,12 +77,12 @@ def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pyte
             session.step()
         session.seek(session.frame - 1)
         assert session.set("forager.smell", f"{50 + number} mm").ok
-        message = sent_curves.news(session.timeline)
+        message = sent_curves.new_values(session.timeline)
         assert message is not None and message["branches"][-1]["line"] == f"set: {{forager.smell: {50 + number} mm}}"
     assert [each.line[-7:-4] for each in session.timeline.branches] == [f" {50 + k}" for k in range(4, 12)]
-    assert len(session.timeline.curves) <= 30 and session.head == session.frame
+    assert len(session.timeline.curves) <= 30 and session.last_frame == session.frame
     session.step()
-    session.seek(session.head - 5)
+    session.seek(session.last_frame - 5)
     initial_curves = list(session.timeline.curves)
     for _ in range(5):
         session.step()
@@ -90,7 +90,7 @@ def test_curves_and_branches_do_not_grow_for_ever(scene: Path, monkeypatch: pyte
     for _ in range(60):
         session.step()
     session.seek(20)  # of which there is no curve any more
-    assert session.set("forager.smell", "40 mm").ok and (session.frame, session.head) == (20, 20)
+    assert session.set("forager.smell", "40 mm").ok and (session.frame, session.last_frame) == (20, 20)
 
 
 def test_a_long_history_is_sent_in_few_points(scene: Path) -> None:
@@ -98,7 +98,7 @@ def test_a_long_history_is_sent_in_few_points(scene: Path) -> None:
     one = session.timeline.curves[1]
     session.timeline.curves = {frame: one for frame in range(1, 20_001)}
     session.timeline.branches = [timeline.Branch(1, "before", dict(session.timeline.curves)) for _ in range(8)]
-    assert len(json.dumps(SentCurves().all_of_it(session.timeline))) < 2_000_000
+    assert len(json.dumps(SentCurves().full_history(session.timeline))) < 2_000_000
 
 
 def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_again(scene: Path) -> None:
@@ -106,9 +106,9 @@ def test_what_was_judged_at_an_edit_is_still_known_when_one_plays_through_it_aga
 
     def go(frames: int) -> None:
         for _ in range(frames):
-            specs.stepping(session)
+            specs.before_step(session)
             session.step()
-            specs.stepped(session)
+            specs.after_step(session)
 
     go(5)
     program = scene.with_name("forager.ant")
@@ -221,11 +221,11 @@ def test_sliders_return_to_their_values_at_the_selected_frame(scene: Path) -> No
 
 def test_the_box_about_all_stays_while_agents_fly_out_of_it(scene: Path) -> None:
     """The page looks at the whole again where the box is another one: not each time that a slider is moved."""
-    session, box = opened(scene), Box()
+    session, box = opened(scene), BoundingBox()
     first = box.of(session)
     ants = session.world.populations["forager"]
     ants.position[0] = 1e5
-    assert box.of(session) == first and Box().of(session)[1] == pytest.approx([1e5] * 3)
+    assert box.of(session) == first and BoundingBox().of(session)[1] == pytest.approx([1e5] * 3)
     scene.write_text(scene.read_text().replace("mesh: boulder.ply", "mesh: boulder.ply, at: [0, 900, 0]"))
     assert session.reload().ok
     assert box.of(session) != first

@@ -17,8 +17,8 @@ from preview_served import SECONDS, Noted
 from websockets.exceptions import ConnectionClosed
 
 from antdsl.preview.serving.addresses import listen
-from antdsl.preview.serving.guard import Guard, Returning
-from antdsl.preview.serving.pages import pages
+from antdsl.preview.serving.guard import Guard, ReturningPages
+from antdsl.preview.serving.pages import load_pages
 from antdsl.preview.serving.server import Server
 
 SCENE = Path("scene.yaml")
@@ -30,47 +30,47 @@ def proof(key: str, host: str, nonce: str) -> str:
 
 def test_keys_of_the_last_starts_are_known_to_this_scene_and_port_alone(tmp_path: Path) -> None:
     folder = tmp_path / "kept"
-    starts = [Returning.of(SCENE, 8765, folder) for _ in range(6)]
+    starts = [ReturningPages.of(SCENE, 8765, folder) for _ in range(6)]
     assert all(starts) and len({each.key for each in starts if each}) == 6
     last = starts[-1]
     assert last is not None
     assert last.previous_keys == tuple(each.key for each in reversed(starts[1:5]) if each)
-    known, forgotten, other = (starts[4], starts[0], Returning.of(SCENE, 8766, folder))
+    known, forgotten, other = (starts[4], starts[0], ReturningPages.of(SCENE, 8766, folder))
     assert known is not None and forgotten is not None and other is not None and other.previous_keys == ()
     host = "127.0.0.1:8765"
-    assert last.proves(proof(known.key, host, "n"), host, "n")
+    assert last.is_proof(proof(known.key, host, "n"), host, "n")
     for wrong in (proof(forgotten.key, host, "n"), proof(last.key, host, "n"), proof(known.key, host, "m"), known.key, "", "é"):
-        assert not last.proves(wrong, host, "n")
-    assert not last.proves(proof(known.key, "127.0.0.1:9999", "n"), host, "n"), "nor what was signed for another port"
-    assert not last.proves(proof(known.key, host, "n").encode(), host, "n")
+        assert not last.is_proof(wrong, host, "n")
+    assert not last.is_proof(proof(known.key, "127.0.0.1:9999", "n"), host, "n"), "nor what was signed for another port"
+    assert not last.is_proof(proof(known.key, host, "n").encode(), host, "n")
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid"), reason="this system has other ways to keep files private")
 def test_only_private_files_of_keys_are_read(tmp_path: Path) -> None:
     folder = tmp_path / "kept"
-    first = Returning.of(SCENE, 1, folder)
+    first = ReturningPages.of(SCENE, 1, folder)
     assert first is not None
     [place] = folder.iterdir()
     assert place.stat().st_mode & 0o777 == 0o600 and folder.stat().st_mode & 0o777 == 0o700
     original_text = place.read_text()
     for text in ("", "{", "[]", '{"keys": 3}', '{"keys": ["short", 5, null]}', "[" * 3000):
         place.write_text(text)
-        assert (returning := Returning.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
+        assert (returning := ReturningPages.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
     place.write_text(original_text)
     place.chmod(0o644)  # others may have read it
-    assert (returning := Returning.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
+    assert (returning := ReturningPages.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
     place.unlink()
     elsewhere = tmp_path / "elsewhere.json"
     elsewhere.write_text(original_text)
     elsewhere.chmod(0o600)
     place.symlink_to(elsewhere)
-    assert (returning := Returning.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
+    assert (returning := ReturningPages.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
     assert elsewhere.read_text() == original_text, "what a link leads to is left alone"
     place.unlink()
     os.mkfifo(place)
-    assert (returning := Returning.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
+    assert (returning := ReturningPages.of(SCENE, 1, folder)) is not None and returning.previous_keys == ()
     folder.chmod(0o777)
-    assert Returning.of(SCENE, 1, folder) is None, "a folder that others may write to keeps nothing"
+    assert ReturningPages.of(SCENE, 1, folder) is None, "a folder that others may write to keeps nothing"
 
 
 def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -> None:
@@ -79,8 +79,8 @@ def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -
 
     async def test() -> None:
         listening = listen(port=0)
-        previous_returning = Returning.of(SCENE, listening.port, tmp_path / "kept")
-        now = Returning.of(SCENE, listening.port, tmp_path / "kept")
+        previous_returning = ReturningPages.of(SCENE, listening.port, tmp_path / "kept")
+        now = ReturningPages.of(SCENE, listening.port, tmp_path / "kept")
         assert previous_returning is not None and now is not None
         guard = Guard(listening.names, returning=now)
         live = Noted()
@@ -100,7 +100,7 @@ def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -
                 messages.append({"op": "closed", "reason": why.rcvd.reason if why.rcvd else ""})
             return messages
 
-        async with asyncio.timeout(SECONDS), Server(live, guard, pages(), listening).running():
+        async with asyncio.timeout(SECONDS), Server(live, guard, load_pages(), listening).running():
             challenge, hello = await come("{nonce}")
             assert challenge["op"] == "return" and hello["op"] == "hello"
             assert (hello["token"], hello["key"]) == (guard.token, now.key)

@@ -26,7 +26,7 @@ from antdsl.preview import Live
 from antdsl.preview.binary_packets import unpack
 from antdsl.preview.serving.addresses import listen
 from antdsl.preview.serving.guard import Guard
-from antdsl.preview.serving.pages import pages
+from antdsl.preview.serving.pages import load_pages
 from antdsl.preview.serving.server import Server
 
 SECONDS = 120  # that a test may take at most, on a machine that is busy
@@ -119,7 +119,7 @@ def with_live(live: Live, test: Callable[[Served], Awaitable[None]]) -> None:
     async def served():  # type: ignore[no-untyped-def]
         listening = listen(port=0)
         guard = Guard(listening.names)
-        server = Served(live, guard, pages(), listening)  # type: ignore[arg-type]
+        server = Served(live, guard, load_pages(), listening)  # type: ignore[arg-type]
         async with asyncio.timeout(SECONDS), Server(live, guard, server.pages, listening).running():
             yield server
 

@@ -38,7 +38,7 @@ def watched(name: str, frames: int, each: int, folder: Path, monkeypatch: pytest
         assert session.set(*PARAM[name]).ok
     notes.go(2 * part)
     session.seek(session.first + part // 2)
-    session.seek(session.head)
+    session.seek(session.last_frame)
     assert session.layer(*layer, True).ok
     notes.go(frames - part * 7 // 2)
     return notes

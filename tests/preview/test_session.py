@@ -60,7 +60,7 @@ def test_every_frame_can_be_gone_back_to(shot: Path) -> None:
     session.seek(5)
     session.step()
     assert session.hash == hashes[6]
-    assert session.head == 21
+    assert session.last_frame == 21
 
 
 def test_going_back_crosses_edits(shot: Path) -> None:
@@ -85,7 +85,7 @@ def test_an_edit_at_an_earlier_frame_begins_a_branch(shot: Path) -> None:
     session.seek(9)
     edit(shot, "30 mm/s", "45 mm/s")
     assert session.reload().ok
-    assert (session.frame, session.head, session.edited) == (9, 9, True)
+    assert (session.frame, session.last_frame, session.edited) == (9, 9, True)
     [branch] = session.timeline.branches
     assert branch.first == 9
     assert branch.curves == {frame: values for frame, values in curves.items() if frame > 9}
@@ -183,8 +183,8 @@ def test_an_edit_that_was_undone_leaves_a_fresh_run(shot: Path) -> None:
 def test_what_was_lost_by_an_edit_does_not_come_back_by_undoing_it(shot: Path) -> None:
     session = opened(shot)
     go(session, 6)
-    session.field("trail", on=False)
-    session.field("trail", on=True)  # and begins anew
+    session.switch_field("trail", on=False)
+    session.switch_field("trail", on=True)  # and begins anew
     assert session.edited
     session.restart()
     go(session, 3)
@@ -201,7 +201,7 @@ def test_edits_are_described(shot: Path) -> None:
     go(session, 2)
     outcome = session.set("forager.smell", "60 mm")
     assert (outcome.did, outcome.line) == ("`forager.smell` is 60 mm", "from the next frame on")
-    assert session.field("trail", on=False).did == "field `trail` holds no scent"
+    assert session.switch_field("trail", on=False).did == "field `trail` holds no scent"
     session.restart()
     edit(shot, "  state search ", "  state idle gray { when after 1 s -> search }\n  state search ")
     outcome = session.reload()
@@ -251,7 +251,7 @@ def test_the_suggested_text_has_the_same_lasting_effect(shot: Path) -> None:
     layer = "separate(radius: 1.2 * size, fov: 260 deg)"
     assert session.layer("forager", layer, False).text == f"# {layer}"
     assert len(session.shot.plan.species["forager"].layers) == 3
-    suggested_text = session.field("trail", False).text
+    suggested_text = session.switch_field("trail", False).text
     assert suggested_text == "set: {trail.limit: 0.000001, trail.keeps: 0 %/step}"
     session.restart()
     go(session, 12)
@@ -262,7 +262,7 @@ def test_the_suggested_text_has_the_same_lasting_effect(shot: Path) -> None:
     go(written, 12)
     assert written.hash == session.hash
     edit(shot, f"# {layer}", layer)
-    session.field("trail", True)
+    session.switch_field("trail", True)
     assert session.layer("forager", layer, True).ok
     assert len(session.shot.plan.species["forager"].layers) == 4
 

@@ -10,7 +10,7 @@ from threading import Event
 import pytest
 
 from antdsl.bounded import open_regular
-from antdsl.preview import Watch
+from antdsl.preview import FileWatch
 
 
 def sparse(path: Path) -> None:
@@ -49,18 +49,18 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def collect_changes(watch: Watch, clock: Clock, seconds: float) -> list[Path]:
+def collect_changes(watch: FileWatch, clock: Clock, seconds: float) -> list[Path]:
     """What is told of while time passes in hundredths of a second."""
     changes: list[Path] = []
     for _ in range(round(seconds * 100)):
         clock.now += 0.01
-        changes += watch.look()
+        changes += watch.poll()
     return changes
 
 
 def test_unchanged_files_are_not_reported(file: Path) -> None:
     clock = Clock()
-    watch = Watch(lambda: [file], clock=clock)
+    watch = FileWatch(lambda: [file], clock=clock)
     assert collect_changes(watch, clock, 1) == []
     file.write_text("one")
     os.utime(file, ns=(5, 5))
@@ -69,7 +69,7 @@ def test_unchanged_files_are_not_reported(file: Path) -> None:
 
 def test_a_save_is_reported_once(file: Path) -> None:
     clock = Clock()
-    watch = Watch(lambda: [file], clock=clock)
+    watch = FileWatch(lambda: [file], clock=clock)
     file.write_text("two, longer")
     assert collect_changes(watch, clock, 1) == [file]
     assert collect_changes(watch, clock, 3) == []
@@ -77,7 +77,7 @@ def test_a_save_is_reported_once(file: Path) -> None:
 
 def test_a_file_that_is_still_being_written_is_waited_for(file: Path) -> None:
     clock = Clock()
-    watch = Watch(lambda: [file], clock=clock)
+    watch = FileWatch(lambda: [file], clock=clock)
     for k in range(20):
         file.write_text("two" * (k + 1))
         assert collect_changes(watch, clock, 0.02) == []
@@ -87,7 +87,7 @@ def test_a_file_that_is_still_being_written_is_waited_for(file: Path) -> None:
 def test_an_editor_that_empties_or_deletes_before_writing_is_reported_once(file: Path) -> None:
     for begin in (lambda: file.write_text(""), file.unlink):
         clock = Clock()
-        watch = Watch(lambda: [file], clock=clock)
+        watch = FileWatch(lambda: [file], clock=clock)
         begin()
         assert collect_changes(watch, clock, 0.2) == []
         file.write_text("new")
@@ -97,7 +97,7 @@ def test_an_editor_that_empties_or_deletes_before_writing_is_reported_once(file:
 
 def test_an_editor_that_renames_another_file_over_it_is_heard(file: Path) -> None:
     clock = Clock()
-    watch = Watch(lambda: [file], clock=clock)
+    watch = FileWatch(lambda: [file], clock=clock)
     other = file.with_suffix(".swp")
     other.write_text("two")
     os.utime(other, ns=(os.stat(file).st_atime_ns, os.stat(file).st_mtime_ns))
@@ -107,7 +107,7 @@ def test_an_editor_that_renames_another_file_over_it_is_heard(file: Path) -> Non
 
 def test_a_change_that_no_date_tells_of_is_found_within_a_second_or_so(file: Path) -> None:
     clock = Clock()
-    watch = Watch(lambda: [file], clock=clock)
+    watch = FileWatch(lambda: [file], clock=clock)
     date = os.stat(file)
     file.write_text("two")  # as long as before
     os.utime(file, ns=(date.st_atime_ns, date.st_mtime_ns))
@@ -116,7 +116,7 @@ def test_a_change_that_no_date_tells_of_is_found_within_a_second_or_so(file: Pat
 
 def test_a_missing_file_is_reported_and_again_on_its_return(file: Path) -> None:
     clock = Clock()
-    watch = Watch(lambda: [file], clock=clock)
+    watch = FileWatch(lambda: [file], clock=clock)
     file.unlink()
     assert collect_changes(watch, clock, 1) == [file]
     file.write_text("one")
@@ -125,7 +125,7 @@ def test_a_missing_file_is_reported_and_again_on_its_return(file: Path) -> None:
 
 def test_files_that_an_edit_brings_in_are_watched_from_then_on(file: Path) -> None:
     clock, paths = Clock(), [file]
-    watch = Watch(lambda: paths, clock=clock)
+    watch = FileWatch(lambda: paths, clock=clock)
     other = file.with_name("mine.ant")
     other.write_text("a")
     paths.append(other)
@@ -140,7 +140,7 @@ def test_files_that_an_edit_brings_in_are_watched_from_then_on(file: Path) -> No
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_is_no_file_is_not_read_and_a_file_in_its_place_is(file: Path, kind: str) -> None:
     clock = Clock()
-    watch = Watch(lambda: [file], clock=clock)
+    watch = FileWatch(lambda: [file], clock=clock)
     file.unlink()
     KINDS[kind](file)
     assert collect_changes(watch, clock, 2) == [file]
@@ -155,7 +155,7 @@ def test_it_begins_beside_what_is_no_file(file: Path, kind: str) -> None:
     file.unlink()
     KINDS[kind](file)
     clock = Clock()
-    watch = Watch(lambda: [file], clock=clock)
+    watch = FileWatch(lambda: [file], clock=clock)
     assert collect_changes(watch, clock, 2) == []
     taken_away(file)
     file.write_text("one")
@@ -166,7 +166,7 @@ def test_a_pipe_is_not_even_opened(file: Path) -> None:
     """Whoever writes into it would take the opening for a reader, and the closing for a broken pipe."""
     file.unlink()
     os.mkfifo(file)
-    Watch(lambda: [file]).look()
+    FileWatch(lambda: [file]).poll()
     with pytest.raises(OSError, match="No such device or address"):  # nobody reads
         os.open(file, os.O_WRONLY | os.O_NONBLOCK)
 
@@ -183,21 +183,21 @@ def test_how_much_is_read_without_a_sign_of_change_is_bounded(tmp_path: Path) ->
     for each in files:
         each.write_bytes(bytes(100_000))
     clock = Clock()
-    watch = Watch(lambda: files, opened=opened, clock=clock)
+    watch = FileWatch(lambda: files, opened=opened, clock=clock)
     read.clear()
     for _ in range(100):
         clock.now += 0.05
         initial_count = len(read)
-        watch.look()
+        watch.poll()
         assert len(read) - initial_count <= 11, "a mebibyte and a part"
     assert set(read) == set(files), "each has its turn"
 
 
 def test_waiting_for_changes_ends_at_the_stop_event(file: Path) -> None:
     stop = Event()
-    watch = Watch(lambda: [file])
+    watch = FileWatch(lambda: [file])
     file.write_text("other")
-    for changed in watch.changes(stop, every=0.005):
+    for changed in watch.wait_for_changes(stop, every=0.005):
         assert changed == (file,)
         stop.set()
     assert stop.is_set()
@@ -205,28 +205,28 @@ def test_waiting_for_changes_ends_at_the_stop_event(file: Path) -> None:
 
 def test_a_changing_file_stirs_once_before_it_is_reported(file: Path) -> None:
     clock = Clock()
-    watch = Watch(lambda: [file], clock=clock)
-    assert watch.look() == () and not watch.stirs()
+    watch = FileWatch(lambda: [file], clock=clock)
+    assert watch.poll() == () and not watch.is_being_written()
     file.write_text("two")
-    assert watch.look() == () and watch.stirs() and not watch.stirs()
+    assert watch.poll() == () and watch.is_being_written() and not watch.is_being_written()
     file.write_text("two, and more")
-    assert watch.look() == () and watch.stirs(), "it goes on"
+    assert watch.poll() == () and watch.is_being_written(), "it goes on"
     clock.now += 0.05
-    assert watch.look() == (file,) and not watch.stirs()
+    assert watch.poll() == (file,) and not watch.is_being_written()
     file.write_text("")
-    assert watch.look() == () and not watch.stirs(), "half of a save"
+    assert watch.poll() == () and not watch.is_being_written(), "half of a save"
 
 
 def test_a_change_that_was_read_is_reported_though_it_is_undone(file: Path) -> None:
     clock = Clock()
-    watch = Watch(lambda: [file], clock=clock)
-    watch.doubt()
+    watch = FileWatch(lambda: [file], clock=clock)
+    watch.recheck_changing()
     assert collect_changes(watch, clock, 1.2) == [], "nobody was changing it"
     file.write_text("two")
-    watch.doubt()
+    watch.recheck_changing()
     file.write_text("one")
     assert collect_changes(watch, clock, 0.1) == [file]
     file.write_text("two")
-    watch.look()
+    watch.poll()
     file.write_text("one")
     assert collect_changes(watch, clock, 2.0) == [], "nobody has read it meanwhile"

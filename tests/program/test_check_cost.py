@@ -12,15 +12,15 @@ from children import child_environment
 
 from antdsl import passes, plan
 from antdsl.pipeline import compile_files
-from antdsl.plan.registers import memory
-from antdsl.program.cost import MEMBERS, Part, costs
+from antdsl.plan.registers import bytes_by_purpose
+from antdsl.program.cost import MEMBERS, StateCost, costs
 
 ROOT = Path(__file__).resolve().parents[2]
 HEAD = "ant 1\nuse steering\nworld { surface ground; obstacle stones; items food { load = 0 } }\n"
 FIELD = "field trail on ground { cell 4 mm; half_life 8 s }\n"
 
 
-def find_costs(tmp_path: Path, text: str) -> dict[str, Part]:
+def find_costs(tmp_path: Path, text: str) -> dict[str, StateCost]:
     path = tmp_path / "a.ant"
     path.write_text(HEAD + text)
     program, report = compile_files([path])
@@ -72,7 +72,7 @@ def test_memory_counts_what_the_plan_keeps(tmp_path: Path) -> None:
         path.write_text(f"ant 1\nspecies walker {{ {members}; state s {{ steer heading; when after 1 s -> s }} }}\n")
         program, _ = compile_files([path])
         assert program is not None
-        return memory(passes.optimise(plan.lower(program)[0]).species["walker"])
+        return bytes_by_purpose(passes.optimise(plan.lower(program)[0]).species["walker"])
 
     none = bytes_of("size 4 mm")
     one = bytes_of("hunger = 0")

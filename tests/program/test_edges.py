@@ -11,7 +11,7 @@ import pytest
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.runtime import Options, World, bind, state_hash, step
 from antdsl.runtime.checkpoints import checkpoint, restore
-from antdsl.runtime.moving.heads import heads_inside
+from antdsl.runtime.moving.heads import find_heads_inside
 from antdsl.runtime.world import Population
 from antdsl.senses.overlaps import worst_overlaps
 
@@ -124,7 +124,7 @@ def axes(population: Population) -> list[np.ndarray]:
 def test_heads_stay_out_of_walls_and_feet_walk_on(tmp_path: Path) -> None:
     world = run(shot(tmp_path, wall_on_a_floor()), 1)
     population = world.populations["walker"]
-    inside = sum(int(heads_inside(world, population).sum()) for _ in range(150) if step(world) is None)
+    inside = sum(int(find_heads_inside(world, population).sum()) for _ in range(150) if step(world) is None)
     assert inside < 0.01 * 150 * len(population)
     assert world.motion.summary()["standing"] < 0.02, "nobody waits for long"
     place = population.position
@@ -138,7 +138,7 @@ def test_who_begins_before_a_wall_is_tilted_already(tmp_path: Path) -> None:
     population = world.populations["walker"]
     leaning = (population.vector("up") != population.normal).any(axis=1)
     assert 5 < np.count_nonzero(leaning) < 200
-    assert not heads_inside(world, population).any()
+    assert not find_heads_inside(world, population).any()
     heading, up = population.vector("heading")[leaning], population.vector("up")[leaning]
     assert np.abs((heading * up).sum(axis=1)).max() < 1e-6
 

@@ -13,7 +13,7 @@ from test_specs import GROUND
 from antdsl.explain import CacheHistory, Replay, explain_agents, open_shot, tell
 from antdsl.pipeline import open_scene
 from antdsl.runtime import FaultStop, Options, bind, checkpoint, restore, state_hash, step
-from antdsl.specs import Work, cases, run_cases
+from antdsl.specs import Work, collect_cases, run_cases
 
 PROGRAM = """ant 1
 world { surface ground }
@@ -87,7 +87,7 @@ def test_a_fault_is_reported_at_the_frame_that_failed() -> None:
 def test_a_spec_sees_the_same_frame_and_time_as_the_animals(scene: Path, backend: str) -> None:
     shot, report = open_scene(scene)
     assert shot is not None, report.sorted()
-    runs, report = cases([scene.parent / "walker.ant"])
+    runs, report = collect_cases([scene.parent / "walker.ant"])
     assert report.ok and runs
     run_cases(runs, Work(Options(backend=backend)))
     assert [failure.message for run in runs for case in run.cases for failure in case.failures] == []

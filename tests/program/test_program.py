@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 
 import pytest
-from test_program_cases import check_text, library
+from test_program_cases import check_text, find_library
 
 from antdsl.diagnostics import Report
 from antdsl.program import check, model
@@ -28,7 +28,7 @@ def checked(*texts: str, modules: dict[str, nodes.File] | None = None, strict: b
         file, part_report = parse(Source(f"{number}.ant", text))
         report.extend(part_report)
         files.append(file)
-    program, part_report = check(files, library, modules, strict=strict)
+    program, part_report = check(files, find_library, modules, strict=strict)
     report.extend(part_report)
     return program, report
 
@@ -312,7 +312,7 @@ def test_a_module_is_called_by_its_name() -> None:
 def test_files_in_a_circle() -> None:
     a, _ = parse(Source("a.ant", 'ant 1\nuse "./b.ant" as b\nbehaviour go() -> push { b.go() }\n'))
     b, _ = parse(Source("b.ant", 'ant 1\nuse "./a.ant" as a\nbehaviour go() -> push { heading }\n'))
-    _, report = check(a, library, {"a.ant": a, "b.ant": b})
+    _, report = check(a, find_library, {"a.ant": a, "b.ant": b})
     assert [d.code for d in report.errors] == ["circle"]
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.codes import CODES
-from antdsl.loading import library
+from antdsl.loading import find_library
 from antdsl.program import check
 from antdsl.source import Source
 from antdsl.syntax import parse
@@ -51,7 +51,7 @@ def parts() -> Iterator[Part]:
 
 def check_text(text: str, name: str = "case.ant") -> Report:
     file, report = parse(Source(name, text))
-    report.extend(check(file, library)[1])
+    report.extend(check(file, find_library)[1])
     return report
 
 

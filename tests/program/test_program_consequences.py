@@ -7,7 +7,7 @@ import re
 import pytest
 
 from antdsl.diagnostics import Diagnostic
-from antdsl.loading import library
+from antdsl.loading import find_library
 from antdsl.program import check
 from antdsl.source import Source
 from antdsl.syntax import parse
@@ -79,7 +79,7 @@ SLIPS = [  # what is written, what the slip makes of it, code, text at the place
 
 def complaints(text: str) -> list[Diagnostic]:
     file, report = parse(Source("forager.ant", text))
-    return [*report.diagnostics, *check(file, library)[1].diagnostics]
+    return [*report.diagnostics, *check(file, find_library)[1].diagnostics]
 
 
 def test_the_program_without_a_slip_is_clean() -> None:

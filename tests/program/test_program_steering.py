@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from test_program import checked, complaints
-from test_program_cases import library
+from test_program_cases import find_library
 
 from antdsl import passes, plan
 from antdsl.runtime import CrowdData, FieldStart, ItemData, MeshData, PlaceData, Setting, World, bind, step
@@ -285,7 +285,7 @@ def test_who_answers_within_a_step_does_not_overshoot(response: str) -> None:
 
 
 def test_every_behaviour_of_the_library_has_help_and_a_test() -> None:
-    file = library("steering")
+    file = find_library("steering")
     assert file is not None
     behaviours = [item for item in file.items if isinstance(item, nodes.Behaviour)]
     assert all(item.help is not None and len(item.help.text) > 10 for item in behaviours)

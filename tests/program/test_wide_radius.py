@@ -14,7 +14,7 @@ from antdsl import limits
 from antdsl.pipeline import open_scene
 from antdsl.preview.session import Session
 from antdsl.runtime import LimitStop, Options, World, bind, state_hash, step
-from antdsl.senses.neighbours import CellGrid, TooManyWithin
+from antdsl.senses.neighbours import CellGrid, TooManyNeighbours
 
 MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 CROWD = limits.WITHIN_RADIUS + 2
@@ -69,11 +69,11 @@ def test_neighbours_are_counted_within_the_radius_and_not_in_its_cells() -> None
     grid = CellGrid(x, np.zeros_like(x), np.zeros_like(x), np.arange(x.size), 300.0)
     # a cap of 256 is where they begin to be counted, so the crowd is repeated
     many = CellGrid(*(np.tile(a, 10) for a in (x, x * 0, x * 0)), np.arange(10 * x.size), 300.0)
-    assert grid.pairs(None, 1.0, limit=10).i.size == 30 * 29 + 50 * 49
-    assert many.pairs(None, 1.0, limit=499).i.size == 800 * limits.NEIGHBOURS
-    with pytest.raises(TooManyWithin):
-        many.pairs(None, 1.0, limit=498)
-    assert many.pairs(np.arange(30), 1.0, limit=299).i.size == 30 * limits.NEIGHBOURS
+    assert grid.find_pairs(None, 1.0, limit=10).i.size == 30 * 29 + 50 * 49
+    assert many.find_pairs(None, 1.0, limit=499).i.size == 800 * limits.NEIGHBOURS
+    with pytest.raises(TooManyNeighbours):
+        many.find_pairs(None, 1.0, limit=498)
+    assert many.find_pairs(np.arange(30), 1.0, limit=299).i.size == 30 * limits.NEIGHBOURS
 
 
 FEW, ENOUGH = 400, 300  # agents, and what the limit is lowered to: still more than count

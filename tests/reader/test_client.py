@@ -149,7 +149,7 @@ def test_folders_of_killed_processes_are_removed(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     living = PrivateFolder()
     assert living.path.parent.stat().st_mode & 0o777 == 0o700
-    (living.new() / "a.usda").write_text("x")
+    (living.new_folder() / "a.usda").write_text("x")
     dead, other = tmp_path / f"{private_folder._PREFIX}dead", tmp_path / "other"
     target = tmp_path / "target"
     for folder in (dead, other, target):

@@ -54,10 +54,10 @@ def test_what_is_charged_ends_a_budget() -> None:
     with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(1000):
         for _ in range(1000):
             cpu_budget.charge(0.5)
-        assert 0 < cpu_budget.remaining() < 500.01, "setting the timer adds nothing"
+        assert 0 < cpu_budget.remaining_seconds() < 500.01, "setting the timer adds nothing"
         cpu_budget.charge(501)
         raise AssertionError("the budget is spent")
-    assert cpu_budget.remaining() == float("inf")
+    assert cpu_budget.remaining_seconds() == float("inf")
 
 
 # The child spins for 0.1 s, whatever it says of it; where it dies, the system tells the time.
@@ -67,14 +67,14 @@ def test_what_is_charged_ends_a_budget() -> None:
 def test_the_time_of_the_reader_is_charged(does: str, reader: Reader, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     program(does, monkeypatch, tmp_path)
     with pytest.raises(CpuBudgetSpent), cpu_budget.cpu_budget(1000):
-        cpu_budget.charge(cpu_budget.remaining() - 100)
+        cpu_budget.charge(cpu_budget.remaining_seconds() - 100)
         start_seconds = reader._seconds
         with suppress(ReaderFailure):
             client.ask("image", {})
         assert reader._seconds - start_seconds >= 0.1
-        used = 100 - cpu_budget.remaining()
+        used = 100 - cpu_budget.remaining_seconds()
         assert used >= 0.1
-        cpu_budget.charge(cpu_budget.remaining() - 0.01)
+        cpu_budget.charge(cpu_budget.remaining_seconds() - 0.01)
         client.ask("image", {})
 
 

@@ -72,5 +72,5 @@ def test_the_reader_itself_is_confined() -> None:
 def test_modules_come_from_the_installation(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", ["", ".", "relative", str(tmp_path), *sys.path])
-    assert not {"", ".", "relative", str(tmp_path)} & set(confinement.paths())
-    assert str(tmp_path) not in confinement.installation()
+    assert not {"", ".", "relative", str(tmp_path)} & set(confinement.module_folders())
+    assert str(tmp_path) not in confinement.readable_folders()

@@ -23,8 +23,8 @@ from antdsl.reader.protocol import Message
 from antdsl.scene import Roots
 from antdsl.scene.geometry import usd
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.usd.closure import PackageError, layers_of, packed
-from antdsl.scene.geometry.usd.errors import plain_words
+from antdsl.scene.geometry.usd.closure import PackageError, make_package, read_layers
+from antdsl.scene.geometry.usd.errors import plain_text
 
 NAMED = HEAD.replace("(\n", '(\n    defaultPrim = "ground"\n', 1)
 
@@ -168,11 +168,11 @@ def test_a_package_that_is_not_plain_is_refused() -> None:
     for words, packages in cases.items():
         for data in packages:
             with pytest.raises(PackageError, match=words):
-                layers_of(data)
-    layers = layers_of(zipped({"a.usda": GOOD, "b/c.usda": "x", "t.png": b"y"}))
+                read_layers(data)
+    layers = read_layers(zipped({"a.usda": GOOD, "b/c.usda": "x", "t.png": b"y"}))
     assert list(layers) == ["a.usda", "b/c.usda"]
-    again = packed(layers)
-    assert layers_of(again) == layers
+    again = make_package(layers)
+    assert read_layers(again) == layers
     with zipfile.ZipFile(io.BytesIO(again)) as archive:
         for entry in archive.infolist():
             start = entry.header_offset + 30 + len(entry.filename) + len(entry.extra)
@@ -219,7 +219,7 @@ def test_messages_of_usd_are_the_same_in_each_run(folder: Path, monkeypatch: pyt
 
 
 def test_words_of_usd_have_no_address() -> None:
-    words = plain_words(
+    words = plain_text(
         "@/tmp/x/sub/a.usda@,@anon:0x5565f6d2:a-session.usda@</m>\n on @anon:0x7f:b.usda@ <0x55a0> @anon:0x1@", "/tmp/x"
     )
     assert words == "@sub/a.usda@</m> on @b.usda@ @@"

@@ -124,7 +124,7 @@ def chaos(folder: Path, edits: int, seed: int) -> Counter[str]:
             project.save(folder)
             continue
         if rng.random() < 0.2:
-            session.seek(rng.randint(session.first, session.head))
+            session.seek(rng.randint(session.first, session.last_frame))
             counts["branched"] += 1
         old = project_by_stretch[session.timeline.at(session.frame)]
         food = session.world.items["food"].amounts["load"]
@@ -134,10 +134,10 @@ def chaos(folder: Path, edits: int, seed: int) -> Counter[str]:
         if rng.random() < 0.3:  # a save that another follows before the first has come to rest
             for name, text in (broken(project, rng) if rng.random() < 0.5 else edited(project, rng).texts()).items():
                 save(folder, name, text)
-            session.foresee()
+            session.precompile()
         new.save(folder)
         if rng.random() < 0.5:
-            session.foresee()
+            session.precompile()
             counts["foreseen"] += 1
         outcome = session.reload()
         assert outcome.ok, [d.message for d in outcome.report.errors]

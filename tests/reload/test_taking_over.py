@@ -16,7 +16,7 @@ from sampling import sampled
 from antdsl.pipeline import Shot, open_scene
 from antdsl.plan.registers import slot_names
 from antdsl.reload import Migration, migration_line, take_over
-from antdsl.runtime import BindError, Built, World, bind, state_hash, step
+from antdsl.runtime import BindError, BindingCache, World, bind, state_hash, step
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 
@@ -111,7 +111,7 @@ def taken(world: World, main: Path, **texts: str) -> tuple[World, Migration]:
 )
 def test_with_nothing_edited_a_world_goes_on_to_the_same_bits(name: str, tmp_path: Path) -> None:
     shot = opened(digging(tmp_path) if name == "digging" else EXAMPLES / name)
-    built = Built()
+    built = BindingCache()
     world = bind(shot.plan, shot.setting, built=built)
     for _ in range(20 if name == "digging" else 5):
         step(world)
@@ -218,9 +218,9 @@ def test_agents_follow_a_ground_whose_vertices_move(scene: Path) -> None:
 
 
 def test_meshes_that_are_the_same_are_worked_out_once_and_others_forgotten(scene: Path) -> None:
-    built, shot = Built(), opened(scene)
+    built, shot = BindingCache(), opened(scene)
     world = bind(shot.plan, shot.setting, built=built)
-    built.forget()
+    built.drop_unused()
     now, _ = take_over(world, shot.plan, shot.setting, built)
     assert now.ground is world.ground
     assert now.fields["trail"].cells is world.fields["trail"].cells
@@ -228,10 +228,10 @@ def test_meshes_that_are_the_same_are_worked_out_once_and_others_forgotten(scene
     shot = opened(scene)
     other, _ = take_over(now, shot.plan, shot.setting, built)
     assert other.ground is not now.ground
-    built.forget()
+    built.drop_unused()
     shot_before = world.setting
     assert take_over(other, shot.plan, shot.setting, built)[0].ground is other.ground
-    built.forget()
+    built.drop_unused()
     assert take_over(other, shot.plan, shot_before, built)[0].ground is not world.ground
 
 

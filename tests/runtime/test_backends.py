@@ -10,7 +10,7 @@ import pytest
 
 from antdsl.cli.run import Backend
 from antdsl.plan import ir
-from antdsl.plan.traverse import needed, operands, placed
+from antdsl.plan.traverse import operands, placed, required_nodes
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.runtime.backends import BACKENDS
@@ -76,7 +76,7 @@ def operations(plan: ir.Plan) -> set[str]:
     for species in plan.species.values():
         for block in (species.born, species.decide, species.act, species.blend):
             for _, statement in placed(block):
-                names |= {node.op for node in needed(operands(statement))}
+                names |= {node.op for node in required_nodes(operands(statement))}
                 names.add(statement.op if isinstance(statement, ir.Request) else type(statement).__name__)
     return names
 

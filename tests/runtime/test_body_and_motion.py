@@ -13,7 +13,7 @@ from plan_text import WORLD, plan_of
 from antdsl.bench.cases import case_of
 from antdsl.passes import optimise
 from antdsl.runtime import MeshData, Options, Setting, bind, step
-from antdsl.runtime.moving.heads import heads_inside
+from antdsl.runtime.moving.heads import find_heads_inside
 
 ALL = (*OPTION_SETS, Options(backend="native", wait_for_code=True))
 SET_OUT = "on spawn { velocity = vector(20 mm/s, 0 mm/s, 0 mm/s); heading = vector(1, 0, 0) }\n"
@@ -181,7 +181,7 @@ def test_bodies_back_up_walls_without_a_jerk_and_with_their_heads_out() -> None:
     previous_directions = np.concatenate([population.vector("up"), population.vector("heading")])
     for _ in range(96):
         step(world)
-        inside += int(heads_inside(world, population).sum())
+        inside += int(find_heads_inside(world, population).sum())
         directions = np.concatenate([population.vector("up"), population.vector("heading")])
         most = max(most, float(np.degrees(np.arccos(np.clip((previous_directions * directions).sum(axis=1), -1, 1))).max()))
         previous_directions = directions

@@ -17,7 +17,7 @@ from antdsl.runtime.backends.native import grids
 from antdsl.runtime.world import AXES
 from antdsl.senses import cell_order
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="no machine code here")
+pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code here")
 COUNT = 9_003
 
 
@@ -32,9 +32,9 @@ def test_parts_are_sorted_as_the_whole(monkeypatch: pytest.MonkeyPatch) -> None:
         crowd.start[f"position.{axis}"][:] = each
     table_sets: list[dict[str, NDArray[Any]]] = []
     for threads in (1, 2, 3, 7):
-        cell_grids = grids.Grids()
+        cell_grids = grids.SearchGrids()
         for cell in (2.0, 9.0, 1.0, 2.0):  # fewer cells and more
-            cell_grids.forget()
+            cell_grids.begin_step()
             tables = cell_grids.of(SimpleNamespace(options=SimpleNamespace(threads=threads)), crowd, cell)  # type: ignore[arg-type]
             cells = int(np.prod(tables["whole"][3:6]))  # type: ignore[index]
             names = ("x", "y", "z", "places", "at")

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from antdsl.bench.cases import case_of
-from antdsl.machine_code.memory import has_room, roomy, roomy_rows
+from antdsl.machine_code.memory import has_padding, padded_copy, padded_rows
 from antdsl.numerics import parallel, randomness
 from antdsl.plan import ir
 from antdsl.runtime import Options, bind, claims, motion_measures, state_hash, step
@@ -16,11 +16,11 @@ from antdsl.senses.overlaps import worst_overlaps
 
 
 def test_every_half_chord_near_a_bin_is_counted_where_numpy_counts_it():
-    least, first = motion_measures._bins()
+    least, first = motion_measures._bin_table()
     near = least[1:-1].view(np.int32).astype(np.int64)[:, None] + np.arange(-32, 33)
     half = np.clip(near, 0, np.float32(1).view(np.int32)).astype(np.int32).ravel().view(np.float32)
     half = np.concatenate([half, np.random.default_rng(1).random(100_000, np.float32), np.float32([0, 1])])
-    expected = motion_measures._bin_of(motion_measures._angle(half))
+    expected = motion_measures._bin_of(motion_measures._degrees(half))
     assert np.array_equal(np.searchsorted(least[1:-1], half, side="right"), expected)
     assert (first[(half * np.float32(4096)).astype(np.int64)] <= expected).all()
 
@@ -48,9 +48,9 @@ def test_claims_are_served_one_after_the_other(count, share):
     change = rng.choice([0.0, 0.25, 1.0, 3.0, np.nan, np.inf], count, p=[0.1, 0.3, 0.4, 0.16, 0.02, 0.02])
     every, rest = rng.random(count) < share, np.round(rng.random(300) * 32) / 4
     had, cached = np.round(rng.random(count) * 8).astype(np.float32), rng.random(count) < 0.5
-    asks, left = claims._Asks(change, every, had, cached, 0.25), rest.copy()
+    asks, left = claims._ServedClaims(change, every, had, cached, 0.25), rest.copy()
     expected = serve(left, item, asks)
-    got = claims._served(rest, item, asks)
+    got = claims._served_amounts(rest, item, asks)
     assert np.array_equal(got, expected) and np.array_equal(rest, left)
     assert count < 300 or ((got >= 0).any() and (got < 0).any() and (share == 0 or (got[every] > 0).any()))
 
@@ -82,12 +82,12 @@ def test_claims_of_one_statement_are_settled_by_draw_and_id(count, all_of_it):
     draw = randomness.word(3, 5, "a", "site", 0, ids)
     order = [n for n in np.lexsort((ids, draw, entry.item)) if 0 <= entry.item[n] < 40 and entry.amount[n] >= 0]
     at = np.array(order, int)
-    asks = claims._Asks(
+    asks = claims._ServedClaims(
         entry.amount[at].astype(float), np.isinf(entry.amount[at]), load[entry.rows[at]], np.ones(len(at), bool), 0
     )
     left = rest.copy()
     got = serve(left, entry.item[at], asks)
-    claims._settle_one(world, rest, entry.item, entry.amount, 0.0, [(population, entry)])
+    claims._settle_amount(world, rest, entry.item, entry.amount, 0.0, [(population, entry)])
     load[entry.rows[at[got >= 0]]] += entry.amount[at[got >= 0]]
     won = np.zeros(count, bool)
     won[entry.rows[at[got >= 0]]] = True
@@ -125,7 +125,7 @@ def observe(result, population, window, dt, steps):
         return np.sqrt((v[0] * v[0] + v[1] * v[1]) + v[2] * v[2])
 
     for name, of in (("turns", "heading"), ("tilts", "up")):
-        angle = motion_measures._angle(np.minimum(length(now, of, start) * np.float32(0.5), np.float32(1)))
+        angle = motion_measures._degrees(np.minimum(length(now, of, start) * np.float32(0.5), np.float32(1)))
         result[name] += np.bincount(motion_measures._bin_of(angle), minlength=1801)
     result["tilt_max"] = max(result["tilt_max"], float(angle.max()))
     longest = now["max_speed"] * dt
@@ -161,7 +161,7 @@ def test_measures_of_motion_are_those_of_plain_numpy(threads, monkeypatch):
                 window[name] = [population.position[row].copy(), 0.0, 0]
         with np.errstate(all="ignore"):
             observe(result, population, window, np.float32(world.dt), round(2 / world.dt))
-            world.motion._step(world, population)
+            world.motion._add_step(world, population)
         if frame % 10 == 5:
             select_rows(population, rng.permutation(len(population)))
     measured = world.motion.arrays()
@@ -175,7 +175,7 @@ def test_ways_go_with_their_agents_when_rows_change():
     population, motion = world.populations["boid"], world.motion
     for _ in range(3):
         wander(population, rng)
-        motion._step(world, population)
+        motion._add_step(world, population)
     for cached in (60, 60, 41, 41):
         previous = dict(zip(population.ids.tolist(), motion._window(population).path.tolist(), strict=True))
         select_rows(population, rng.permutation(len(population))[:cached])
@@ -207,10 +207,10 @@ def test_overlaps_are_those_of_all_pairs(count, box):
 def test_rows_are_put_in_order_in_arrays_with_room():
     array = np.arange(100, dtype=np.float32)
     rows = np.random.default_rng(0).permutation(100)[:70]
-    result = roomy_rows(array, rows)
-    assert np.array_equal(result, array[rows]) and has_room(result) and has_room(roomy(array))
+    result = padded_rows(array, rows)
+    assert np.array_equal(result, array[rows]) and has_padding(result) and has_padding(padded_copy(array))
     assert not result.base[70:].any()
-    assert not any(map(has_room, (array, array[:95], array[4:50], np.zeros((3, 50), np.float32)[0])))
+    assert not any(map(has_padding, (array, array[:95], array[4:50], np.zeros((3, 50), np.float32)[0])))
 
 
 def test_parts_on_threads_give_the_same_bits_as_one(monkeypatch):

@@ -11,7 +11,7 @@ from test_clips import EVERY_WAY, HEAD
 
 from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.definition import Clip, Definition, Rig
-from antdsl.bodies.agents.machine_clips import MachineClips, machines_playing
+from antdsl.bodies.agents.machine_clips import MachineClips, playing_of_machines
 from antdsl.bodies.agents.poses import clip_table
 from antdsl.scene.setting import ClipData
 
@@ -46,7 +46,7 @@ def heights(history: RunHistory) -> list[float]:
     )  # fmt: skip
     for frame in history.frames:
         clips_of_machine = MachineClips(*(frame["a"][f"main.{name}"] for name in registers))
-        hand_heights.append(float(posed(table, {}, machines_playing(table, clips, [clips_of_machine], 1)).world[0, 0, 1, 3]))
+        hand_heights.append(float(posed(table, {}, playing_of_machines(table, clips, [clips_of_machine], 1)).world[0, 0, 1, 3]))
     return hand_heights
 
 

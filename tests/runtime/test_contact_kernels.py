@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from antdsl.runtime.moving import capsule_distances, capsules, contacts, corrections, cutting, separation
-from antdsl.runtime.moving.capsules import Crowd, Near, depths, find
+from antdsl.runtime.moving.capsules import Crowd, NearPairs, find_near_pairs, overlap_depths
 from tests.runtime.test_contacts import CrowdData, cluster, world
 
 ROWS = 60
@@ -32,7 +32,7 @@ def closest(away: np.ndarray, a: np.ndarray, b: np.ndarray, reach: float, length
     return min(result, key=lambda each: float(np.linalg.norm(away + a * each[0] - b * each[1])))
 
 
-def gap_of(near: SimpleNamespace | Near, middle: np.ndarray, p: int, q: int) -> tuple[float, np.ndarray]:
+def gap_of(near: SimpleNamespace | NearPairs, middle: np.ndarray, p: int, q: int) -> tuple[float, np.ndarray]:
     """The gap of two capsules and the way to part, across the direction between the two ways that they stand."""
     up, other = near.up[:, p], near.up[:, q]
     between = 0 * up if up @ other < -0.5 else unit(up + other)
@@ -64,10 +64,10 @@ def bodies(seed: int, spread: float = 6.0, tilt: float = 0.25) -> SimpleNamespac
     return SimpleNamespace(middle=middle, ahead=ahead, up=up, half=half, radius=radius, i=i, j=j)
 
 
-def near_of(built: SimpleNamespace) -> Near:
+def near_of(built: SimpleNamespace) -> NearPairs:
     gap, path = np.empty(len(built.i)), np.empty((3, len(built.i)))
     stand = (built.middle.copy(), built.ahead, built.up, built.half, built.radius)
-    near = Near(None, np.arange(ROWS), built.i, built.j, *stand, 0.6, gap, path)  # type: ignore[arg-type]
+    near = NearPairs(None, np.arange(ROWS), built.i, built.j, *stand, 0.6, gap, path)  # type: ignore[arg-type]
     near.measure(np.zeros_like(built.middle), np.ones(ROWS, np.bool_))
     return near
 
@@ -129,15 +129,15 @@ def test_capsules_lie_where_the_shape_of_a_body_puts_them() -> None:
 @pytest.mark.parametrize("place", [np.nan, np.inf, -np.inf])
 def test_one_without_a_place_has_no_neighbours(place: float) -> None:
     built = crowds(8.0)
-    others = {(p, q) for p, q in pairs_of(find(Crowd(built))) if 70 not in (p, q)}
+    others = {(p, q) for p, q in pairs_of(find_near_pairs(Crowd(built))) if 70 not in (p, q)}
     built.populations["ant"].position[70, 1] = place
     with np.errstate(invalid="ignore"):
         crowd = Crowd(built)
-        near = find(crowd)
+        near = find_near_pairs(crowd)
     assert not np.isfinite(sum(crowd.bounds[1])) and set(pairs_of(near)) == others and len(others) > 100
 
 
-def pairs_of(near: Near) -> list[tuple[int, int]]:
+def pairs_of(near: NearPairs) -> list[tuple[int, int]]:
     return list(zip(near.rows[near.i].tolist(), near.rows[near.j].tolist(), strict=True))
 
 
@@ -150,7 +150,7 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
             built.populations["ant"].now[f"{name}.{axis}"][5] = built.populations["ant"].now[f"{name}.{axis}"][4]
         built.populations["ant"].now["size"][5] = built.populations["ant"].now["size"][4]
     crowd = Crowd(built)
-    near = find(crowd, dead)
+    near = find_near_pairs(crowd, dead)
     total = SimpleNamespace(half=crowd.half, radius=crowd.radius)
     total.ahead, total.up = (np.stack(crowd.vector(name)).astype(float) for name in ("heading", "up"))
     wide = crowd.radius[:, None] + crowd.radius[None]
@@ -178,7 +178,7 @@ def test_all_pairs_that_may_meet_are_found(dead: float | None) -> None:
         path, up = near.direction[:, result[4, 5]], near.up[:, near.i[result[4, 5]]]
         assert np.isclose(np.linalg.norm(path), 1, atol=0.1) and abs(path @ up) < 0.1
         worst = [max([0.0, *(-gap for pair, (gap, _) in summary.items() if k in pair)]) for k in range(len(crowd))]
-        assert np.allclose(depths(built), worst / np.maximum(2 * crowd.radius, 1e-9), atol=1e-9)
+        assert np.allclose(overlap_depths(built), worst / np.maximum(2 * crowd.radius, 1e-9), atol=1e-9)
 
 
 # --- how far who goes -------------------------------------------------------------------------------------------------
@@ -217,7 +217,7 @@ def shares(near, pairs, depth, light, heap_share, normal) -> dict[tuple[int, int
     return result
 
 
-def part_bodies(near: Near, agents, which, held, walked, depth, looks, sweeps, share, cut) -> np.ndarray:
+def part_bodies(near: NearPairs, agents, which, held, walked, depth, looks, sweeps, share, cut) -> np.ndarray:
     """As `contacts._apart` gives, from one pair after another."""
     size = np.linalg.norm(walked, axis=0)
     most = np.maximum(agents.reach, size)
@@ -259,7 +259,7 @@ def part_bodies(near: Near, agents, which, held, walked, depth, looks, sweeps, s
     return moved
 
 
-def agents_of(seed: int) -> tuple[contacts._Agents, dict[str, np.ndarray]]:
+def agents_of(seed: int) -> tuple[contacts._PairAgents, dict[str, np.ndarray]]:
     rng = np.random.default_rng(seed)
     normal = unit(rng.normal(0, 0.2, (3, ROWS)) + np.array([[0.0], [1], [0]]))
     mass, still = rng.choice([1.0, 1.0, 5.0], ROWS), rng.random(ROWS) < 0.2
@@ -267,7 +267,7 @@ def agents_of(seed: int) -> tuple[contacts._Agents, dict[str, np.ndarray]]:
     reach = rng.uniform(0, 0.8, ROWS)
     stand = {"held": rng.random(ROWS) < 0.15, "walked": walked, "deep": rng.uniform(0, 0.4, ROWS) * (rng.random(ROWS) < 0.6)}
     stand["cut"] = rng.normal(0, 0.05, (3, ROWS)) * (rng.random(ROWS) < 0.3)
-    return contacts._Agents(0 * walked, reach, mass, rng.choice([1.0, 0.4], ROWS), normal, still), stand
+    return contacts._PairAgents(0 * walked, reach, mass, rng.choice([1.0, 0.4], ROWS), normal, still), stand
 
 
 @pytest.mark.parametrize("looks, sweeps, share", [(1, 1, 0.4), (1, 4, 1.0), (5, 3, 1.0)])
@@ -288,7 +288,7 @@ def test_bodies_part_as_one_pair_after_another_says(looks: int, sweeps: int, sha
     assert (np.abs(result - stand["cut"]).max(axis=0) > 1e-4).sum() > 20
 
 
-def cut_steps(near: Near, approach, mass, walked, gap, path) -> np.ndarray:
+def cut_steps(near: NearPairs, approach, mass, walked, gap, path) -> np.ndarray:
     """Steps that are bent along what is in their way, and cut."""
     free = {}
     for n, (p, q) in enumerate(zip(near.i, near.j, strict=True)):
@@ -317,7 +317,7 @@ def test_steps_into_others_are_bent_and_cut(seed: int) -> None:
     near, (agents, stand) = near_of(bodies(seed, 9.0)), agents_of(seed)
     walked, approach = 3 * stand["walked"], rng.normal(0, 0.2, (3, ROWS))
     gap, path, _ = near.measure_before(walked)
-    short, stopped, changed = cutting.cut(near, approach, agents.mass, walked, gap, path)
+    short, stopped, changed = cutting.cut_steps(near, approach, agents.mass, walked, gap, path)
     step = cut_steps(near, approach, agents.mass, walked, gap, path)
     off = np.abs(walked + short - step).max(axis=0) > 1e-9
     assert off.sum() <= 2  # a step that is bent along something exactly is over it by rounding
@@ -339,20 +339,20 @@ def test_rounds_look_again_at_those_who_did_not_get_there() -> None:
     got = expected * rng.choice([1.0, 0.99, 0.6, 0.4, 0.0], len(subset))
     previous, held = near.middle.copy(), rng.random(ROWS) < 0.1
     was = held.copy()
-    touched = corrections.missed(near, subset, expected, got, held)
+    touched = corrections.find_missed(near, subset, expected, got, held)
     again = np.linalg.norm(expected - got, axis=0) > 0.05 * near.radius[subset]
     assert np.array_equal(np.flatnonzero(touched), subset[again]) and 5 < again.sum() < len(subset) - 5
     little = again & ((got * expected).sum(axis=0) < 0.5 * (expected**2).sum(axis=0))
     assert np.array_equal(held, was | np.isin(np.arange(ROWS), subset[little])) and little.sum() > 3
     previous[:, subset] += got
     assert np.array_equal(near.middle, previous)
-    which = corrections.visible(near, touched)
+    which = corrections.find_visible_pairs(near, touched)
     assert np.array_equal(which, touched[near.i] | touched[near.j])
     for k in (1, -1):  # the least overlap that counts
         near.gap[:] = (near.radius[near.i] + near.radius[near.j]) * -0.05 * (1 + k * 1e-9)
-        assert (corrections.visible(near, touched) is None) == (k < 0)
+        assert (corrections.find_visible_pairs(near, touched) is None) == (k < 0)
     near.gap[which] = 0.0
-    assert corrections.visible(near, touched) is None
+    assert corrections.find_visible_pairs(near, touched) is None
 
 
 def registers(rng: np.random.Generator, n: int) -> tuple[np.ndarray, ...]:
@@ -366,8 +366,8 @@ def test_a_crowd_stands_and_came_as_its_registers_say() -> None:
     speed[rows[:3]], weight[rows[:3]] = [-1, 7, 9], [0, 3, -2]
     start, walked, normal = np.full((3, 3, 9), -7.0)
     reach, mass = np.full((2, 9), -7.0)
-    species = corrections.Feet(began, place, feet, speed, weight)
-    corrections.stands(rows, 4, species, 0.25, start, walked, normal, reach, mass)
+    species = corrections.FootPositions(began, place, feet, speed, weight)
+    corrections.fill_stances(rows, 4, species, 0.25, start, walked, normal, reach, mass)
     to = slice(4, 8)
     assert np.array_equal(start[:, to], began[rows].T) and np.array_equal(walked[:, to], (place - began)[rows].T)
     assert np.array_equal(normal[:, to], feet[rows].T) and np.array_equal(reach[to], np.maximum(speed[rows], 0) * 0.25)
@@ -384,19 +384,19 @@ def test_corrections_go_no_farther_than_agents_may_walk_and_take_velocity_that_l
     rows = np.sort(rng.permutation(n)[:25])
     began, place, to = rng.normal(size=(n, 3)), rng.normal(size=(n, 3)), rng.normal(size=(25, 3))
     speed, (far, most) = rng.choice(np.float32([0, 40]), n), np.empty((2, 25))
-    assert corrections._too_far(rows, to, began, place, speed, 0.1, far, most)
+    assert corrections._find_too_far(rows, to, began, place, speed, 0.1, far, most)
     assert np.allclose(far, np.linalg.norm(to - began[rows], axis=1))
     assert np.allclose(most, np.maximum(speed[rows] * 0.1, np.linalg.norm((place - began)[rows], axis=1)))
     for part, over in ((1.0049, False), (1.0051, True)):
         end = began[rows] + (to - began[rows]) * (most / far * part)[:, None]
-        assert corrections._too_far(rows, end, began, place, speed, 0.1, far.copy(), most.copy()) == over
+        assert corrections._find_too_far(rows, end, began, place, speed, 0.1, far.copy(), most.copy()) == over
     end[7] = np.nan
-    assert corrections._too_far(rows, end, began, place, speed, 0.1, far, most)
+    assert corrections._find_too_far(rows, end, began, place, speed, 0.1, far, most)
     velocity, at, up = registers(rng, n), registers(rng, n), unit(rng.normal(size=(3, 25))).T
     to[3] = place[rows[3]]  # goes nowhere
     old, was, feet = place.copy(), np.stack(velocity).astype(float), rng.normal(size=(n, 3)).astype(np.float32)
     got = np.empty((3, 25))
-    corrections._arrived(rows, to, np.ascontiguousarray(up), np.float32(0.1), at, velocity, place, feet, got)
+    corrections._store_arrivals(rows, to, np.ascontiguousarray(up), np.float32(0.1), at, velocity, place, feet, got)
     assert np.array_equal(got.T, to - old[rows]) and np.array_equal(place[rows], to)
     assert np.array_equal(np.stack(at)[:, rows].T, to.astype(np.float32)) and np.array_equal(feet[rows], up.astype(np.float32))
     lost = 0
@@ -431,7 +431,7 @@ def test_who_is_stopped_faces_as_before_with_its_trunk() -> None:
         previous[axis][5] = 2 * up[axis][5]  # straight up: it keeps its heading
     was, (ahead, middle) = np.stack(heading), rng.normal(size=(2, 3, 4))
     old = ahead.copy(), middle.copy()
-    separation.faced(rows, stopped, total, previous, tuple(up), heading, shift, ahead, middle)
+    separation.restore_headings(rows, stopped, total, previous, tuple(up), heading, shift, ahead, middle)
     for row, k, all_of_them in zip(rows, stopped, total, strict=True):
         expected = unit(level(np.stack(previous)[:, row].astype(float), up[:, row])) if row != 5 else was[:, 5]
         assert np.allclose(np.stack(heading)[:, row], expected, atol=1e-5) and np.array_equal(
@@ -447,7 +447,7 @@ def test_rows_are_gathered() -> None:
     built, rows = bodies(4), np.array([3, 4, 50])
     to = capsule_distances.Bodies(*np.empty((3, 3, 3)), *np.empty((2, 3)))
     single = [tuple(np.ascontiguousarray(each, np.float32)) for each in (built.ahead, built.up)]
-    crowd = capsule_distances.Crowded(built.middle, *single, built.half, built.radius)
-    capsule_distances.gathered(rows, crowd, to)
+    crowd = capsule_distances.CrowdBodies(built.middle, *single, built.half, built.radius)
+    capsule_distances.gather_bodies(rows, crowd, to)
     for result, expected in zip(to, (built.middle, *map(np.stack, single), built.half, built.radius), strict=True):
         assert np.array_equal(result, expected[..., rows])

@@ -12,7 +12,7 @@ from test_program import checked, complaints
 from antdsl import passes, plan
 from antdsl.runtime import Options, World, bind, checkpoint, restore, state_hash, step
 from antdsl.runtime.moving import capsules, contacts
-from antdsl.runtime.moving.capsules import Crowd, depths, find
+from antdsl.runtime.moving.capsules import Crowd, find_near_pairs, overlap_depths
 from antdsl.scene.setting import CrowdData, MeshData, PlaceData, Setting
 
 RESTING = """ant 1
@@ -67,12 +67,12 @@ def positions_by_id(bound_world: World, species: str = "ant") -> np.ndarray:
 
 def frames_until_free(bound_world: World, most: int) -> int:
     for frame in range(most):
-        if depths(bound_world).max() < 1e-3:
+        if overlap_depths(bound_world).max() < 1e-3:
             return frame
         previous_positions = positions_by_id(bound_world)
         step(bound_world)
         assert np.linalg.norm(positions_by_id(bound_world) - previous_positions, axis=1).max() <= 30 / 24 * 1.005
-    raise AssertionError(f"still {depths(bound_world).max():.3g} of a width deep")
+    raise AssertionError(f"still {overlap_depths(bound_world).max():.3g} of a width deep")
 
 
 def test_a_cluster_in_one_place_separates_and_lies_still() -> None:
@@ -125,16 +125,16 @@ def test_one_without_a_mass_changes_nothing_for_who_does_not_touch_it(mass: floa
         with np.errstate(all="ignore"):
             step(bound_world)
         position_sets.append(positions_by_id(bound_world)[:60])
-    assert np.array_equal(*position_sets) and depths(bound_world).max() > 0
+    assert np.array_equal(*position_sets) and overlap_depths(bound_world).max() > 0
 
 
 def test_soft_bodies_part_more_slowly_and_none_at_all_without_contacts() -> None:
     depth_ratios = {}
     for mode in ("off", "soft", "hard"):
         bound_world = world(CrowdData("ant", 2, points((0.0, 0.0), (0.3, 0.1))), contacts=mode)
-        start_depth = depths(bound_world).max()
+        start_depth = overlap_depths(bound_world).max()
         step(bound_world)
-        depth_ratios[mode] = depths(bound_world).max() / start_depth
+        depth_ratios[mode] = overlap_depths(bound_world).max() / start_depth
     assert depth_ratios["off"] == 1.0 and 0.5 < depth_ratios["soft"] < 0.95 and depth_ratios["hard"] < 1e-3
 
 
@@ -162,7 +162,7 @@ def test_the_lighter_one_makes_room_across_species() -> None:
         np.linalg.norm(positions_by_id(bound_world) - start_positions[0]),
         np.linalg.norm(positions_by_id(bound_world, "ball") - start_positions[1]),
     )
-    assert depths(bound_world).max() < 1e-3 and distances[0] > 0.3 and distances[1] < 0.01 * distances[0]
+    assert overlap_depths(bound_world).max() < 1e-3 and distances[0] > 0.3 and distances[1] < 0.01 * distances[0]
 
 
 def test_who_meets_one_that_stands_goes_round_it_and_not_through() -> None:
@@ -177,7 +177,7 @@ def test_who_meets_one_that_stands_goes_round_it_and_not_through() -> None:
     nearest = 12.0
     for _ in range(30):
         step(bound_world)
-        assert depths(bound_world).max() < 0.02
+        assert overlap_depths(bound_world).max() < 0.02
         nearest = min(nearest, float(np.linalg.norm(positions_by_id(bound_world)[0])))
     # The room of both, at the heights of their trunks: the ball's swells above the ant.
     assert 3.0 < nearest < 6.0 and np.abs(positions_by_id(bound_world, "ball")).max() < 0.01
@@ -192,7 +192,7 @@ def test_two_sides_of_a_thin_sheet_do_not_meet() -> None:
     assert (sides > 0).any() and (sides < 0).any()
     for _ in range(30):
         step(bound_world)
-    assert depths(bound_world).max() < 1e-3
+    assert overlap_depths(bound_world).max() < 1e-3
     crowd = Crowd(bound_world)
     middles = crowd.middle.T
     near = np.linalg.norm(middles[:, None] - middles[None], axis=2) < 1.5
@@ -207,7 +207,7 @@ def test_who_is_frozen_by_a_fault_is_not_pushed() -> None:
     start_positions = positions_by_id(bound_world)
     for _ in range(3):
         step(bound_world)
-    assert np.array_equal(positions_by_id(bound_world)[0], start_positions[0]) and depths(bound_world).max() < 1e-3
+    assert np.array_equal(positions_by_id(bound_world)[0], start_positions[0]) and overlap_depths(bound_world).max() < 1e-3
 
 
 # --- who is near ------------------------------------------------------------------------------------------------------
@@ -215,7 +215,7 @@ def test_who_is_frozen_by_a_fault_is_not_pushed() -> None:
 
 @pytest.mark.parametrize("n", [300, 600])
 def test_pairs_of_a_crowd_in_one_place_grow_with_it_and_not_with_its_square(n: int) -> None:
-    assert 40 * n < len(find(Crowd(world(CrowdData("ant", n, cluster(n))))).i) < 60 * n
+    assert 40 * n < len(find_near_pairs(Crowd(world(CrowdData("ant", n, cluster(n))))).i) < 60 * n
 
 
 # --- crowds that want somewhere ---------------------------------------------------------------------------------------
@@ -251,20 +251,20 @@ def test_a_crowd_goes_through_a_doorway_and_does_not_shiver_in_front_of_it(count
 
 def test_who_faces_as_before_has_its_trunk_where_that_puts_it(monkeypatch: pytest.MonkeyPatch) -> None:
     bound_world = world(CrowdData("ant", 80, cluster(80, 9.0)), text=WALKING)
-    separate, face = contacts._separate, contacts._face_as_before
+    separate, face = contacts._separate, contacts._restore_headings
     as_before: list[int] = []
     faced: list[float] = []
 
-    def counted(crowd: Crowd, near: capsules.Near, stopped: np.ndarray, headings: object) -> None:
+    def counted(crowd: Crowd, near: capsules.NearPairs, stopped: np.ndarray, headings: object) -> None:
         as_before.append(len(stopped))
         face(crowd, near, stopped, headings)  # type: ignore[arg-type]
 
-    def looked_at(near: capsules.Near, *rest: object) -> np.ndarray:
+    def looked_at(near: capsules.NearPairs, *rest: object) -> np.ndarray:
         if len(faced) < len(as_before):  # before anybody is walked
             faced.append(float(np.abs(near.middle - Crowd(bound_world).middle[:, near.rows]).max()))
         return separate(near, *rest)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(contacts, "_face_as_before", counted)
+    monkeypatch.setattr(contacts, "_restore_headings", counted)
     monkeypatch.setattr(contacts, "_separate", looked_at)
     for _ in range(20):
         step(bound_world)

@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from antdsl.cli import app
 from antdsl.runtime import Options, bind, checkpoints, state_hash, step
-from antdsl.runtime.lod import Detail, Pieces, inside
+from antdsl.runtime.lod import Detail, Pieces, is_in_boxes
 from antdsl.scene.setting import DetailData, MeshData
 from antdsl.scene.staging.moves import MeshMoves, Moves
 
@@ -74,7 +74,7 @@ def test_inside_is_inside_of_any_box() -> None:
     low = draw.uniform(0, 9, (40, 3)).astype(np.float32)
     high = low + draw.uniform(0, 2, (40, 3)).astype(np.float32)
     expected = ((place[:, None] >= low) & (place[:, None] <= high)).all(axis=2).any(axis=1)
-    assert 0 < expected.sum() < 500 and np.array_equal(inside(place, low, high), expected)
+    assert 0 < expected.sum() < 500 and np.array_equal(is_in_boxes(place, low, high), expected)
 
 
 AVOID = """behaviour round() -> push {
@@ -195,5 +195,5 @@ def test_levels_go_by_the_scene_moved_to_its_middle() -> None:
     middle = np.array([1e6, 0, 0])
     detail = Detail(DetailData(np.add(middle, [[0, 0, 0], [0, 0, 9], [0, 0, 20]]), 10.0, first=5), middle, {})
     positions = np.array([[0, 0, 5], [0, 0, 15]], np.float32)
-    levels = [detail._levels(positions, frame).tolist() for frame in (0, 5, 6, 7, 99)]
+    levels = [detail._find_levels_at(positions, frame).tolist() for frame in (0, 5, 6, 7, 99)]
     assert levels == [[0, 1], [0, 1], [0, 0], [1, 0], [1, 0]]  # a camera that moves; before and after it stands

@@ -14,7 +14,7 @@ from antdsl.bodies.shapes import sphere
 from antdsl.fields.cells import SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.ground.combined import Terrain
-from antdsl.ground.mesh.topology import facing
+from antdsl.ground.mesh.topology import facing_sides
 from antdsl.ground.protocol import Footing
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid_feelers import SolidFeelers
@@ -271,8 +271,8 @@ def test_cells_are_found_alike_however_many_are_looked_up(dense, monkeypatch):
     assert np.array_equal(one_by_one, cell_rows[::30])
     voxel = np.floor(positions / cells.cell + 0.5).astype(np.int64) - cells._low
     assert np.array_equal(
-        SurfaceCells._nearby(cells, positions, voxel, facing(normals).astype(np.int64)),
-        cells._nearby(positions, voxel, facing(normals).astype(np.int64)),
+        SurfaceCells._nearby(cells, positions, voxel, facing_sides(normals).astype(np.int64)),
+        cells._nearby(positions, voxel, facing_sides(normals).astype(np.int64)),
     )
     for count in (5, 16):
         assert np.array_equal(cells._nearest(np.arange(cells.used), count), cells.nearest(count)[: cells.used])
@@ -288,23 +288,23 @@ def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     start = -direction * 32.0 + np.cross(direction, [0.3, 0.5, 0.8]) * 9.0
     off = np.linalg.norm(np.cross(direction, [0.3, 0.5, 0.8]), axis=1) * 9.0
-    hits = feel.feelers(*start.T, *direction.T, 60.0)
+    hits = feel.cast_feelers(*start.T, *direction.T, 60.0)
     assert hits.hit.all()
     assert hits.t == pytest.approx(32.0 - np.sqrt(400 - off**2), abs=0.35)
     hit_points = start + hits.t[:, None] * direction
     normal = np.stack([hits.nx, hits.ny, hits.nz], axis=1)
     assert ((normal * hit_points).sum(axis=1) > 0.97 * np.linalg.norm(hit_points, axis=1)).all()
-    assert not feel.feelers(*start.T, *direction.T, 11.0).hit.any(), "nothing so near"
+    assert not feel.cast_feelers(*start.T, *direction.T, 11.0).hit.any(), "nothing so near"
     on = ball.project(direction * 20.0, direction).points
     side = np.cross(direction, [0.1, 0.9, 0.2])
     side /= np.linalg.norm(side, axis=1)[:, None]
-    assert not feel.feelers(*on.T, *side.T, 6.0).hit.any(), "along its surface"
-    assert feel.feelers(*on.T, *-direction.T, 6.0).hit.all(), "into it"
+    assert not feel.cast_feelers(*on.T, *side.T, 6.0).hit.any(), "along its surface"
+    assert feel.cast_feelers(*on.T, *-direction.T, 6.0).hit.all(), "into it"
     for away, error in ((2.0, 0.1), (30.0, 2.0)):
-        near = feel.near(*(direction * (20 + away)).T, np.inf)
+        near = feel.nearest_within(*(direction * (20 + away)).T, np.inf)
         assert near.t == pytest.approx(away, abs=error)
         assert (np.stack([near.nx, near.ny, near.nz], axis=1) * direction).sum(axis=1).min() > 0.99
-    assert not feel.near(*(direction * 50.0).T, ball.band[1]).hit.any(), (
+    assert not feel.nearest_within(*(direction * 50.0).T, ball.band[1]).hit.any(), (
         "nothing is touched by who reaches just to the band's end"
     )
     clear = feel.clearance(*(direction * 50.0).T)
@@ -347,7 +347,7 @@ def test_a_cut_shows_the_inside(scene, shot):
     hill.carve(np.array([[0.0, 6.0, 0.0]]), np.array([4.0]), np.zeros(1, np.int64))
     cut = Cut.of("z > 0.5")
     assert cut is not None and Cut.of("z = 3") is None and Cut.of("z > 0; x") is None
-    opened = cut.opened(hill, np.zeros(3), 1.0)
+    opened = cut.cut_volume(hill, np.zeros(3), 1.0)
     vertices = np.concatenate([v for _, v, f in opened.surface(changed_only=False)])
     assert vertices[:, 2].max() == pytest.approx(0.5, abs=0.01)
     level = vertices[np.abs(vertices[:, 2] - 0.5) < 1e-3]

@@ -70,7 +70,7 @@ def pit(tmp_path_factory: pytest.TempPathFactory) -> World:
     below = np.tile([0.0, 5.0, 0.0], (12, 1)) + np.random.default_rng(2).normal(size=(12, 3)) * [1.0, 0.0, 1.0]
     walkers.footing, _ = world.ground.nearest(below)
     walkers.position = world.ground.position(walkers.footing)
-    up = world.ground.upright(walkers.footing, world.up)
+    up = world.ground.upright_normals(walkers.footing, world.up)
     heading = np.cross(up, np.random.default_rng(3).normal(size=(12, 3)))
     for name, value in (
         ("position", walkers.position),

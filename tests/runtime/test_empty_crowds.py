@@ -17,7 +17,7 @@ from antdsl.plan.traverse import blocks, statements
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.set_senses import GIVES_SET
 from antdsl.program.tables.vocabulary import REDUCERS
-from antdsl.runtime import Built, Options, Setting, World, bind, state_hash, step
+from antdsl.runtime import BindingCache, Options, Setting, World, bind, state_hash, step
 from antdsl.runtime.backends import BACKENDS
 
 # How each backend is run: with parts larger and smaller than the crowd, and more threads than it has agents.
@@ -30,7 +30,7 @@ CONTACTS = ("off", "soft", "hard")  # as `empty_crowds.setting` has them by its 
 COMBINATIONS = [f"{who} {life.name}" for who in WHO for life in LIVES]
 
 
-def run(setting: Setting, options: Options, built: Built, size: Size) -> tuple[list[str], World]:
+def run(setting: Setting, options: Options, built: BindingCache, size: Size) -> tuple[list[str], World]:
     world = bind(empty_crowds.plan(size), setting, options, built=built)
     hashes = [state_hash(world)]
     for _ in range(FRAMES):
@@ -43,7 +43,7 @@ def held_against_each_other(case: str, kind: str, seed: int, size: Size, backend
     """All backends give the same hashes, none with a warning of NumPy's."""
     who, name = case.split()
     life = next(life for life in LIVES if life.name == name)
-    setting, built = empty_crowds.setting(who, life, kind, seed), Built()
+    setting, built = empty_crowds.setting(who, life, kind, seed), BindingCache()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         hashes = {
@@ -92,7 +92,7 @@ def test_backends_agree_in_every_world(case: str, contacts: str, kind: str) -> N
 @pytest.mark.parametrize("size", sampled(["sets", "pairs"], ["sets"]))
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_of_none_there_is_what_the_language_says(backend: str, size: Size) -> None:
-    _, world = run(empty_crowds.setting("rabbit", NEVER), OPTIONS_BY_BACKEND[backend][0], Built(), size)
+    _, world = run(empty_crowds.setting("rabbit", NEVER), OPTIONS_BY_BACKEND[backend][0], BindingCache(), size)
     now = world.populations["asker"].now
     assert len(world.populations["asker"]) == 3 and len(world.populations["rabbit"]) == 0
     for number, (how, set_text, _) in enumerate(empty_crowds.reduced(size == "pairs")):

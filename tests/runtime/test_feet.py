@@ -17,8 +17,8 @@ from antdsl.numerics import vectors as vec
 from antdsl.pipeline import Shot
 from antdsl.reload import take_over
 from antdsl.runtime import Options, World, bind, checkpoint, feet_hash, restore, state_hash, step
-from antdsl.runtime.feet.gaits import MOST_CYCLES, SINK, resting
-from antdsl.runtime.feet.seeking import Floor
+from antdsl.runtime.feet.gaits import MOST_CYCLES, SINK, rest_positions
+from antdsl.runtime.feet.seeking import FootGround
 from antdsl.runtime.feet.state import NOTHING, Feet
 
 NUMPY = Options(backend="numpy", feet=True)
@@ -39,7 +39,7 @@ def feet_of(world: World) -> Feet:
 
 def off_ground(world: World, feet: Feet) -> NDArray[np.float64]:
     """How far (mm) feet that stand are from the nearest surface or solid of all."""
-    positions = np.ascontiguousarray(feet.shown[:, feet.down].T)
+    positions = np.ascontiguousarray(feet.shown[:, feet.is_standing].T)
     return world.ground.nearest(positions)[1]
 
 
@@ -70,16 +70,19 @@ def test_planted_feet_stay_where_they_are_on_the_ground(tmp_path: Path, ground: 
         previous_feet = deepcopy(feet_of(world))
         step(world)
         feet = feet_of(world)
-        both = previous_feet.down & feet.down
+        both = previous_feet.is_standing & feet.is_standing
         slid = max(
             slid, float(np.sqrt(vec.dot(feet.shown - previous_feet.shown, feet.shown - previous_feet.shown))[both].max(initial=0))
         )
         off = max(off, float(off_ground(world, feet).max()))
         hung += int(((feet.on == NOTHING) & (feet.swing >= 1)).sum())
-        standing_count, lifted = standing_count + int(feet.down.sum()), lifted + int((previous_feet.down & ~feet.down).sum())
+        standing_count, lifted = (
+            standing_count + int(feet.is_standing.sum()),
+            lifted + int((previous_feet.is_standing & ~feet.is_standing).sum()),
+        )
         assert far_from_hips(world, feet) <= 1.001
         turned = ((feet.phase - previous_feet.phase) % 1.0)[
-            ~previous_feet.down.all(axis=1)
+            ~previous_feet.is_standing.all(axis=1)
         ]  # who sets out goes on to the next foot at once
         cycles = max(cycles, float(turned.max(initial=0)))
     assert slid < 1e-3 * leg and off < 1e-3 * leg
@@ -95,14 +98,14 @@ def test_standing_bodies_put_their_feet_back_and_then_keep_still(tmp_path: Path)
     world = bind_shot(stick_bodies.opened(path))
     lifted = []
     for _ in range(24 * 4):
-        was_down = feet_of(world).down.copy()
+        was_down = feet_of(world).is_standing.copy()
         step(world)
-        lifted.append(was_down & ~feet_of(world).down)
+        lifted.append(was_down & ~feet_of(world).is_standing)
     feet, population = feet_of(world), world.populations["walker"]
     x, _, z = BodyFrames.of(population).to_bodies(feet.place)
-    rest = resting(world.walkers["walker"].legs)
+    rest = rest_positions(world.walkers["walker"].legs)
     off = np.hypot(x - rest[0], z - rest[1])
-    assert np.median(off) < 0.07 and not any(each.any() for each in lifted[-24:]) and feet.down.mean() > 0.98
+    assert np.median(off) < 0.07 and not any(each.any() for each in lifted[-24:]) and feet.is_standing.mean() > 0.98
     last = max(k for k, each in enumerate(lifted) if each.any())
     assert all(each.sum(axis=1).max() <= 4 for each in lifted[30 : last + 1])  # never all six at once
 
@@ -142,7 +145,7 @@ def test_feet_are_the_same_where_no_ray_walks(tmp_path: Path, monkeypatch: pytes
     assert walking.floor is not None and (walking.floor.starts(walking.populations["walker"]) >= 0).all()
     for _ in range(12):
         step(walking)
-    monkeypatch.setattr(Floor, "starts", lambda _, population: np.full(len(population), -1))
+    monkeypatch.setattr(FootGround, "starts", lambda _, population: np.full(len(population), -1))
     casting = bind_shot(shot)
     for _ in range(12):
         step(casting)
@@ -181,7 +184,7 @@ def test_a_checkpoint_goes_on_with_the_same_bits(hill: Shot) -> None:
     restore(other, saved)  # of a run with feet, where nobody asks for them
     none = {name: array for name, array in saved.items() if not name.startswith("feet.")}
     restore(again, none)  # and the other way round: all stand anew
-    assert feet_of(again).down.mean() > 0.9 and state_hash(again) == state_hash(other)
+    assert feet_of(again).is_standing.mean() > 0.9 and state_hash(again) == state_hash(other)
 
 
 def test_a_reload_keeps_feet_and_new_legs_start_again(hill: Shot) -> None:
@@ -193,7 +196,7 @@ def test_a_reload_keeps_feet_and_new_legs_start_again(hill: Shot) -> None:
     legs = hill.setting.legs["walker"]
     longer = replace(hill.setting, legs={"walker": replace(legs, length=legs.length * 1.1)})
     restarted, _ = take_over(world, hill.plan, longer)
-    assert feet_of(restarted).down.mean() > 0.9 and feet_hash(restarted.feet) != feet_hash(world.feet)
+    assert feet_of(restarted).is_standing.mean() > 0.9 and feet_hash(restarted.feet) != feet_hash(world.feet)
 
 
 BIRTHS = """ant 1
@@ -252,11 +255,11 @@ def test_feet_go_along_with_ground_that_moves_and_stand_still_on_it(tmp_path: Pa
     for _ in range(20):
         step(world)
     feet = feet_of(world)
-    assert first.down.all() and feet.down.all() and float(np.abs(feet.place - first.place).max()) > 10
+    assert first.is_standing.all() and feet.is_standing.all() and float(np.abs(feet.place - first.place).max()) > 10
     assert np.array_equal(feet.face, first.face) and np.array_equal(feet.weight, first.weight)
     assert off_ground(world, feet).max() < 1e-9
     x, y, _ = BodyFrames.of(world.populations["walker"]).to_bodies(feet.place)
-    assert np.abs(x - resting(world.walkers["walker"].legs)[0]).max() < 0.1 and np.abs(y).max() < 1e-3
+    assert np.abs(x - rest_positions(world.walkers["walker"].legs)[0]).max() < 0.1 and np.abs(y).max() < 1e-3
 
 
 def test_a_foot_whose_ground_is_removed_lifts_and_seeks_again(tmp_path: Path) -> None:
@@ -269,16 +272,16 @@ def test_a_foot_whose_ground_is_removed_lifts_and_seeks_again(tmp_path: Path) ->
     world = bind_shot(stick_bodies.opened(path))
     step(world)
     feet = feet_of(world)
-    assert feet.down.all()
+    assert feet.is_standing.all()
     dug = feet.place[:, 0, 1].copy()
     others = deepcopy(feet)
     world.solids["ground"].carve(dug[None], np.array([0.9]), np.array([0]))
     lifted = False
     for _ in range(30):
         step(world)
-        lifted |= not feet_of(world).down[0, 1]
+        lifted |= not feet_of(world).is_standing[0, 1]
     feet = feet_of(world)
-    assert lifted and feet.down[0, 1]
+    assert lifted and feet.is_standing[0, 1]
     assert abs(float(world.solids["ground"].sample(feet.place[:, 0, 1][None])[0])) < 0.02
     assert np.array_equal(feet.place[:, 1], others.place[:, 1]) and np.linalg.norm(feet.place[:, 0, 1] - dug) > 0.1
 
@@ -296,7 +299,7 @@ def test_feet_stand_on_obstacles_and_on_the_side_of_a_sheet_that_they_walk_on(tm
     for _ in range(10):
         step(world)
     feet = feet_of(world)
-    assert feet.down.sum() > 20 and np.allclose(feet.shown[1][feet.down], 0.4, atol=1e-6)
+    assert feet.is_standing.sum() > 20 and np.allclose(feet.shown[1][feet.is_standing], 0.4, atol=1e-6)
     tin = stick_bodies.write_scene(tmp_path / "tin", 6, "can", count=30)
     world = bind_shot(stick_bodies.opened(tin))
     for _ in range(40):
@@ -308,9 +311,9 @@ def test_feet_stand_on_obstacles_and_on_the_side_of_a_sheet_that_they_walk_on(tm
     inside = (up[0] * place[0] + up[2] * place[2] < 0) & (side > 20)
     hips = bodies.to_world(world.walkers["walker"].legs.hip)
     hit = world.obstacles["ground"].cast_within(
-        hips[:, feet.down].T.copy(), ((feet.shown - hips)[:, feet.down] * 0.999).T.copy()
+        hips[:, feet.is_standing].T.copy(), ((feet.shown - hips)[:, feet.is_standing] * 0.999).T.copy()
     )[0]
-    assert len(hit) < 0.01 * feet.down.sum() and side.max() > 15 and inside.size
+    assert len(hit) < 0.01 * feet.is_standing.sum() and side.max() > 15 and inside.size
 
 
 @pytest.mark.parametrize(("clearance", "high", "look"), [(1, 0.5, ""), (0, -0.5, ", look: none")])
@@ -336,7 +339,7 @@ def test_feet_are_on_the_floor_that_is_seen_where_the_body_walks_a_coarser_one(
     for _ in range(12):
         step(world)
         feet = feet_of(world)
-        floor_distances = world.obstacles["floor"].closest(np.ascontiguousarray(feet.shown[:, feet.down].T))[3]  # type: ignore[attr-defined]
-        assert floor_distances.max() < 1e-6 and feet.down.sum() > 12
+        floor_distances = world.obstacles["floor"].closest(np.ascontiguousarray(feet.shown[:, feet.is_standing].T))[3]  # type: ignore[attr-defined]
+        assert floor_distances.max() < 1e-6 and feet.is_standing.sum() > 12
     assert (world.populations["walker"].footing.mesh == 0).all()
-    assert high - 0.31 < feet.shown[1][feet.down].min() < high < feet.shown[1][feet.down].max() < high + 0.31
+    assert high - 0.31 < feet.shown[1][feet.is_standing].min() < high < feet.shown[1][feet.is_standing].max() < high + 0.31

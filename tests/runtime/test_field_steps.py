@@ -56,7 +56,7 @@ def test_a_step_of_a_field_is_that_of_arrays(combine, limit):
                 field.deposit(*put)
                 plainly.deposit(*put)
             if number == 7:
-                field.leave(np.arange(5), np.full(5, 0.25))
+                field.set_remaining(np.arange(5), np.full(5, 0.25))
                 plainly.values[:5] = 0.25
             field.step(keep, diffusion, 1 / 24, 2)
             plainly.step(keep, diffusion, 1 / 24)

@@ -16,12 +16,12 @@ from antdsl.fields.pheromone import UNIT
 from antdsl.machine_code import machine
 from antdsl.plan.registers import statement_numbers
 from antdsl.runtime import FieldStart, MeshData, Options, Setting, World, bind, state_hash, step
-from antdsl.runtime.backends.reference import Agent, with_winnings
+from antdsl.runtime.backends.reference import AgentRun, apply_claims
 from antdsl.runtime.requests import Effects
 
 SHEEP = Path(__file__).parents[1] / "programs" / "sheep.ant"
 NATIVE = Options(backend="native", chunk=8, threads=2, shuffle_rows=5, wait_for_code=True)
-EVERY = (*OPTION_SETS, NATIVE) if machine.available() else OPTION_SETS
+EVERY = (*OPTION_SETS, NATIVE) if machine.is_available() else OPTION_SETS
 WORLD = "ant 1\nworld { surface ground; items food { load = 10 } }\nfield grass on ground { cell 10 mm }\n"
 
 
@@ -201,9 +201,9 @@ def test_an_agent_that_is_run_again_gets_all_that_it_was_given() -> None:
         ants = world.populations["a"]
         for row in range(len(ants)):
             now = {name: array[row : row + 1].copy() for name, array in ants.start.items()}
-            agent = Agent(world, ants, row, now, 0, Effects(), statement_numbers(ants.plan))
+            agent = AgentRun(world, ants, row, now, 0, Effects(), statement_numbers(ants.plan))
             agent.run("decide")
-            with_winnings(agent, ants)
+            apply_claims(agent, ants)
             agent.run("act")
             again.append((float(now["load"][0]), float(now["seen"][0])))
 

@@ -9,7 +9,7 @@ import pytest
 from meaning import OPTION_SETS, RunHistory, crowd, item, play
 from sampling import sampled
 
-from antdsl.loading import library
+from antdsl.loading import find_library
 from antdsl.runtime import MeshData
 from antdsl.runtime.faults import FaultStop
 from antdsl.scene.setting import SpreadFlow, Target
@@ -38,7 +38,7 @@ field trail on ground { cell 8 mm; half_life 1 s }
 
 def wishes() -> list[str]:
     """A call of each behaviour of the library."""
-    file = library("steering")
+    file = find_library("steering")
     assert file is not None
     wish_calls = []
     for each in (each for each in file.items if isinstance(each, nodes.Behaviour)):

@@ -19,7 +19,7 @@ from antdsl.outputs.recording import begin, record
 from antdsl.pipeline import Choices, Shot, open_scene, simulate
 from antdsl.runtime import Options, World, checkpoint, restore, state_hash, step
 from antdsl.scene import PathRefused, Roots
-from antdsl.scene.geometry.matrices import applied, still
+from antdsl.scene.geometry.matrices import apply_transforms, still
 from antdsl.scene.staging.moves import MeshMoves
 
 STAND = """ant 1
@@ -98,7 +98,7 @@ def test_keys_go_evenly_and_hold_at_their_ends(folder: Path) -> None:
     moves = shot(folder, scene=scene, ground=TURN).setting.moves
     assert moves.first == -1 and moves.meshes["ground"].frames == 22
     rest = np.array([[10.0, 0, 0]] * 121)
-    at = [moves.meshes["ground"].vertices(rest, frame - moves.first)[0] for frame in (-1, 1, 7, 13, 20)]
+    at = [moves.meshes["ground"].vertices_at(rest, frame - moves.first)[0] for frame in (-1, 1, 7, 13, 20)]
     half = np.sqrt(0.5) * 10
     assert np.allclose(at, [(10, 0, 0), (10, 0, 0), (12 + half, 6 + half, 0), (24, 22, 0), (24, 22, 0)])
 
@@ -107,7 +107,7 @@ def test_a_key_of_one_kind_leaves_the_other_as_it_is(folder: Path) -> None:
     setting = shot(folder, wall="keys: {1: {rotate: [0, 0, 0]}, 13: {rotate: [0, 90, 0]}}").setting
     rest = setting.obstacles["wall"].vertices
     assert np.allclose(rest.mean(axis=0), [500, 0, 0])
-    turned = setting.moves.meshes["wall"].vertices(rest, 12)
+    turned = setting.moves.meshes["wall"].vertices_at(rest, 12)
     assert np.allclose(turned.mean(axis=0), [500, 0, 0]) and not np.allclose(turned, rest)
 
 
@@ -118,10 +118,10 @@ def test_moves_of_a_file_are_placed_by_its_entry() -> None:
     poses[:, :, :3] *= 10
     poses[1, :, 3] = (0, 0, 5)
     moves = MeshMoves.free(vertex_frames).placed(poses)
-    rest = applied(poses[0], points)
-    assert np.array_equal(moves.vertices(rest, 0), rest)
-    assert np.allclose(moves.vertices(rest, 1), applied(poses[1], points * 2))
-    assert np.array_equal(moves.take(np.array([1])).vertices(rest[[1]], 1), moves.vertices(rest, 1)[[1]])
+    rest = apply_transforms(poses[0], points)
+    assert np.array_equal(moves.vertices_at(rest, 0), rest)
+    assert np.allclose(moves.vertices_at(rest, 1), apply_transforms(poses[1], points * 2))
+    assert np.array_equal(moves.select_vertices(np.array([1])).vertices_at(rest[[1]], 1), moves.vertices_at(rest, 1)[[1]])
 
 
 def test_files_per_frame_are_found_by_number(tmp_path: Path) -> None:
@@ -148,7 +148,7 @@ def test_files_per_frame_move_a_mesh_and_are_inputs(folder: Path) -> None:
     sequence(folder, "wall", range(3, 14), lambda f: meshes.box((-10, -10 + f, -10), (10, 10 + f, 10)))
     opened_shot = shot(folder, scene=SCENE.replace("wall.obj", "wall.###.obj"))
     rest, moves = opened_shot.setting.obstacles["wall"].vertices, opened_shot.setting.moves
-    heights = [moves.meshes["wall"].vertices(rest, k)[:, 1].mean() for k in (0, 1, 2, 3, 12)]
+    heights = [moves.meshes["wall"].vertices_at(rest, k)[:, 1].mean() for k in (0, 1, 2, 3, 12)]
     assert np.allclose(heights, [3, 3, 3, 4, 13])
     assert {"wall.003.obj", "wall.013.obj"} <= set(opened_shot.inputs)
     (folder / "wall.013.obj").write_text((folder / "wall.013.obj").read_text() + "\n")
@@ -204,7 +204,7 @@ def test_agents_ride_on_ground_that_moves(folder: Path) -> None:
         first = now if first is None else first
         # the ground is flat at first, so one turn and shift tell where its points are
         track = moves.meshes["ground"].tracks[0, world.frame - 1]
-        assert np.abs(now - applied(track, first)).max() < 1e-5
+        assert np.abs(now - apply_transforms(track, first)).max() < 1e-5
         up = population.vector("up")
         assert np.allclose(up, track[:, :3] @ (0, 1, 0), atol=1e-6)
         heading = population.vector("heading")
@@ -241,7 +241,7 @@ def test_ground_that_bends_carries_and_a_face_without_area_harms_no_agent(folder
             assert np.isfinite(population.vector(name)).all(), (world.frame, name)
         assert np.abs(world.ground.position(population.footing) - population.position).max() < 1e-9
         assert (population.footing.face >= 0).all()
-        vertices = opened_shot.setting.moves.meshes["ground"].vertices(
+        vertices = opened_shot.setting.moves.meshes["ground"].vertices_at(
             opened_shot.setting.surfaces["ground"].vertices, world.frame - 1
         )
         assert positions_by_id(world)[:, 2].max() <= vertices[:, 2].max() + 1e-9
@@ -251,7 +251,7 @@ def test_a_platform_picks_up_who_walks_onto_it(folder: Path) -> None:
     """A box drives over the plain: who climbs it rides along, and rays find it where it is now."""
     plain, lorry = meshes.grid(200, 8), meshes.box((-30, -5, -30), (30, 6, 30))
     ground = MovingGround({"plain": plain, "lorry": lorry}, ["lorry"])
-    ground.pose({"lorry": lorry[0] + (50, 0, 0)})
+    ground.pose_meshes({"lorry": lorry[0] + (50, 0, 0)})
     up = np.array([[0.0, 1, 0]])
     foot, hit = ground.place(np.array([[15.0, 50, 1]]), up)
     assert hit.all() and foot.mesh[0] == 0, "there it was at rest"
@@ -259,7 +259,7 @@ def test_a_platform_picks_up_who_walks_onto_it(folder: Path) -> None:
     assert walked.footing.mesh[0] == 1 and walked.position[0, 1] > 5, "up its side at 20 mm"
     foot = walked.footing
     previous_position = ground.position(foot)
-    ground.pose({"lorry": lorry[0] + (70, 0, 3)})
+    ground.pose_meshes({"lorry": lorry[0] + (70, 0, 3)})
     assert np.allclose(ground.position(foot) - previous_position, [[20, 0, 3]])
     assert np.allclose(ground.rest_position(foot), previous_position - (50, 0, 0))
 
@@ -271,7 +271,7 @@ def test_posed_ground_is_rebuilt_ground() -> None:
     bend = ball[0] * (1.2, 0.8, 1) + (11, 2, -7)
     posed = MovingGround({"hill": hill, "ball": ball}, ["ball"])
     posed.move(*_crowd(posed, draw, 5))  # what it keeps was made before it was posed
-    posed.pose({"ball": bend})
+    posed.pose_meshes({"ball": bend})
     rebuilt = MeshGround({"hill": hill, "ball": (bend, ball[1])})
     for name in (
         "corner",
@@ -299,7 +299,7 @@ def test_posed_ground_is_rebuilt_ground() -> None:
 def _crowd(ground: MeshGround, draw: np.random.Generator, count: int) -> tuple:
     points = np.column_stack([draw.uniform(-70, 70, count), np.zeros(count), draw.uniform(-70, 70, count)])
     foot, _ = ground.place(points, np.array([0.0, 1, 0]))
-    up = ground.upright(foot, np.array([0.0, 1, 0]))
+    up = ground.upright_normals(foot, np.array([0.0, 1, 0]))
     heading = np.cross(up, draw.normal(size=(count, 3)))
     heading /= np.linalg.norm(heading, axis=1, keepdims=True)
     return foot, heading * draw.uniform(0, 3, (count, 1)), heading, up, 4.0
@@ -312,7 +312,7 @@ def test_an_obstacle_pushes_who_is_in_its_way(folder: Path) -> None:
     for world in simulate(opened_shot):
         positions = positions_by_id(world)
         start = positions if start is None else start
-        box = moves.vertices(rest, world.frame - 1)
+        box = moves.vertices_at(rest, world.frame - 1)
         inside = ((positions > box.min(axis=0) + 1e-3) & (positions < box.max(axis=0) - 1e-3)).all(axis=1)
         assert not inside.any(), world.frame
         assert np.abs(positions[:, 1]).max() < 1e-9
@@ -341,7 +341,7 @@ def test_items_and_curves_are_read_where_they_are(folder: Path) -> None:
 def test_an_item_rides_on_its_surface_and_keys_lead_it_over_one(folder: Path) -> None:
     ridden = shot(folder, ground=TURN).setting
     track = ridden.moves.meshes["ground"].tracks[0]
-    assert np.allclose(ridden.moves.items["food"][:, 0], [applied(pose, np.array([[30.0, 0, 0]]))[0] for pose in track])
+    assert np.allclose(ridden.moves.items["food"][:, 0], [apply_transforms(pose, np.array([[30.0, 0, 0]]))[0] for pose in track])
     raised = shot(
         folder, ground="keys: {1: {at: [0, 0, 0]}, 13: {at: [0, 12, 0]}}", food="keys: {1: {at: [30, 0, 0]}, 13: {at: [0, 0, 0]}}"
     )
@@ -426,7 +426,7 @@ def test_frames_hold_what_moved_and_a_run_resumes(folder: Path) -> None:
     for frame in (1, 5, 13):
         arrays = cache.frame(frame)
         assert np.allclose(
-            arrays["mesh.wall.vertices"], opened_shot.setting.moves.meshes["wall"].vertices(rest, frame - 1), atol=1e-3
+            arrays["mesh.wall.vertices"], opened_shot.setting.moves.meshes["wall"].vertices_at(rest, frame - 1), atol=1e-3
         )
         assert np.allclose(arrays["items.food.P"][0, [0, 2]], [30 - 5 * (frame - 1), 2 * (frame - 1)])
     # places of the same agent differ by what it walked and what the ground went

@@ -22,10 +22,10 @@ from antdsl.plan import ir
 from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
 from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import listing, ready, runner
-from antdsl.runtime.backends.native.block import Writer
+from antdsl.runtime.backends.native.block import FunctionWriter
 from antdsl.runtime.backends.native.layout import Layout
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
+pytestmark = pytest.mark.skipif(not machine.is_available(), reason="llvmlite is not installed")
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 SCENES = sorted(path.relative_to(EXAMPLES).as_posix() for path in EXAMPLES.rglob("*.yaml"))
@@ -41,7 +41,7 @@ def loop(op: str) -> tuple[str, tuple[str, ...], str]:
     """A module that applies an operation to arrays: its text, the kinds of its operands and of its result."""
     kinds = (I32,) if op == "number" else tuple(KINDS[letter] for letter in ir.OPS[op].args)
     module = Module(machine.host())
-    w = Writer(module, Layout({(k,): k for k in range(len(kinds) + 1)}))
+    w = FunctionWriter(module, Layout({(k,): k for k in range(len(kinds) + 1)}))
     name = elementwise(module, "of_lanes", kinds, ELEMENTWISE[op])
     kind = F32 if module.functions[name].startswith("define internal <8 x float>") else BOOL
     with w.e.loop(w.end, WIDTH) as at:
@@ -215,7 +215,7 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
         step(world)
         expected.append(state_hash(world))
     world = rich(Options(backend="native"))
-    coming: Any = ready.beside(world.plan, world.backend.blocks, ready.Facts(False, False))  # type: ignore[attr-defined]
+    coming: Any = ready.start_building(world.plan, world.backend.blocks, ready.WorldFacts(False, False))  # type: ignore[attr-defined]
     ready_code = coming.result()
 
     class Later:
@@ -249,7 +249,7 @@ WIDE = dict.fromkeys(("avx2", "fma", "fma4", "avx512f", "avx512vl", "avx512dq", 
 TARGETS = {
     "host": machine.host,
     "with fma": lambda: replace(machine.ANY, features="+avx2,+fma"),
-    "of 512 bits": lambda: machine.Target(machine.ANY.triple, "icelake-server", machine.named(WIDE)),
+    "of 512 bits": lambda: machine.Target(machine.ANY.triple, "icelake-server", machine.format_features(WIDE)),
     "arm": lambda: machine.Target("aarch64-unknown-linux-gnu", "cortex-a72", "+neon"),
 }
 FUSED = ("fmadd", "fmsub", "fnmadd", "fnmsub", "fmla", "fmls")
@@ -259,7 +259,7 @@ FUSED = ("fmadd", "fmsub", "fnmadd", "fnmsub", "fmla", "fmls")
 def test_no_operations_are_fused(target: str) -> None:
     """A fused multiply-add rounds once instead of twice; not even a processor that has one is given it."""
     chosen = TARGETS[target]()
-    code = machine.assembly(listing.of_plan(plans.rich(), chosen).text, chosen)
+    code = machine.assembly(listing.plan_program(plans.rich(), chosen).text, chosen)
     assert len(code.splitlines()) > 2000
     assert not [line for line in code.splitlines() if any(word in line for word in FUSED)]
     assert ("zmm" in code) == (target == "of 512 bits" or "+avx512f" in chosen.features)
@@ -279,19 +279,19 @@ define void @a(ptr %p) {
         return "vfm" in machine.assembly(text, machine.Target("x86_64-unknown-linux-gnu", "bdver2", features))
 
     assert fused("+avx,-fma,-fma4,+xop")
-    assert not fused(machine.named({"avx": True, "fma": True, "fma4": True, "xop": True}))
+    assert not fused(machine.format_features({"avx": True, "fma": True, "fma4": True, "xop": True}))
 
 
 def reference_operations(program: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What the reference is asked to work out while a crowd takes two steps with the same states as NumPy's."""
-    history, plain, node_names = play(program, crowd(300, radius=60), steps=2, ways=(NUMPY,)), native_backend.Agent.value, []
+    history, plain, node_names = play(program, crowd(300, radius=60), steps=2, ways=(NUMPY,)), native_backend.AgentRun.value, []
 
-    def value(agent: native_backend.Agent, node: ir.Node) -> Any:
+    def value(agent: native_backend.AgentRun, node: ir.Node) -> Any:
         node_names.append(node.op)
         return plain(agent, node)
 
     with monkeypatch.context() as patch:
-        patch.setattr(native_backend.Agent, "value", value)
+        patch.setattr(native_backend.AgentRun, "value", value)
         world = bind(history.world.plan, history.world.setting, NATIVE)
         for _ in range(2):
             step(world)
@@ -322,7 +322,7 @@ def test_what_holds_some_agents_is_found_of_lines_sheets_and_clouds() -> None:
     for extents, expected in (((1000, 0, 0), 8.0), ((1000, 1000, 0), 89.4), ((1000, 1000, 1000), 200.0), ((0, 0, 0), 0.0)):
         positions = (rng.random((1000, 3)) * extents).astype(np.float32)
         population: Any = Crowd(positions)
-        assert native_backend._spacing(population) == pytest.approx(expected, rel=0.01)
+        assert native_backend._default_cell_size(population) == pytest.approx(expected, rel=0.01)
 
 
 def test_arrays_of_cells_that_are_no_longer_needed_are_released() -> None:
@@ -343,18 +343,18 @@ def test_rows_are_shared_out_among_threads_in_whole_eights() -> None:
         (300, 100, 2, 5),
         (100_000, 16_384, 2, 25),
     ):
-        size = runner._part(count, chunk, threads)
+        size = runner._part_size(count, chunk, threads)
         assert size % WIDTH == 0 and -(-count // size) == parts, (count, chunk, threads)
 
 
 def test_what_is_machine_code_is_listed() -> None:
     shot, _ = open_scene(EXAMPLES / "foraging" / "scene.yaml")
     assert shot is not None
-    plan_listing = listing.of_plan(shot.plan, machine.host())
+    plan_listing = listing.plan_program(shot.plan, machine.host())
     text = listing.show(plan_listing)
     assert "then NumPy: ray(stones)" in text and "3 times" in text and "searches forager for 2 sets" in text
-    counts = listing.counts(plan_listing)
-    assert counts == listing.counts(listing.of_plan(shot.plan, machine.host()))
+    counts = listing.instruction_counts(plan_listing)
+    assert counts == listing.instruction_counts(listing.plan_program(shot.plan, machine.host()))
     assert f"stage 0: {counts['forager.decide.0']:,} instructions" in text and counts["forager.decide.0"] > 500
 
 
@@ -362,5 +362,5 @@ def test_another_number_needs_no_other_code() -> None:
     texts = []
     for speed in ("10", "25"):
         text = f"species a {{ max_speed {speed} mm/s\n pace = 1\n state only {{ pace = pace * 1.5 + {speed} }} }}"
-        texts.append(listing.of_plan(play(text, ways=(NATIVE,)).world.plan, machine.host()).text)
+        texts.append(listing.plan_program(play(text, ways=(NATIVE,)).world.plan, machine.host()).text)
     assert texts[0] == texts[1]

@@ -17,7 +17,7 @@ from sampling import sampled
 from antdsl.machine_code import machine
 from antdsl.runtime.backends.native import listing
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
+pytestmark = pytest.mark.skipif(not machine.is_available(), reason="llvmlite is not installed")
 
 # What object files may look for: functions of C whose results IEEE 754 fixes to the last bit, and those that move bytes.
 FROM_C = {"fmod", "fmodf", "floor", "floorf", "rint", "rintf", "memcpy", "memset"}
@@ -80,14 +80,14 @@ def undefined(code: bytes) -> set[str]:
 def test_machine_code_calls_nothing_whose_bits_may_vary(name: str) -> None:
     """Without some instruction LLVM makes a call of it; none of them may be one that libraries round in different ways."""
     target = TARGETS[name]()
-    symbol_names = undefined(machine.object_code(listing.of_plan(plans.rich(), target).text, target))
+    symbol_names = undefined(machine.object_code(listing.plan_program(plans.rich(), target).text, target))
     assert "fmod" in symbol_names and symbol_names <= FROM_C
 
 
 def test_intrinsics_of_a_processor_are_not_used_where_it_has_none() -> None:
     plan = plans.rich()
-    assert "@llvm.x86.avx2" not in listing.of_plan(plan, native_states.PLAIN).text
-    assert "@llvm.x86" not in listing.of_plan(plan, TARGETS["arm"]()).text
+    assert "@llvm.x86.avx2" not in listing.plan_program(plan, native_states.PLAIN).text
+    assert "@llvm.x86" not in listing.plan_program(plan, TARGETS["arm"]()).text
 
 
 @pytest.fixture(scope="module")
@@ -102,7 +102,7 @@ def lacking(*names: str) -> dict[str, str]:
     return {name: WITHOUT[name] or " ".join(__cpu_dispatch__) for name in names}
 
 
-@pytest.mark.skipif(not machine.available() or not machine.host().x86, reason="the instructions are those of x86")
+@pytest.mark.skipif(not machine.is_available() or not machine.host().x86, reason="the instructions are those of x86")
 @pytest.mark.parametrize(
     ("plain", "names"),
     [

@@ -25,7 +25,7 @@ from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import ready, stored
 from antdsl.runtime.faults import FaultStop
 
-pytestmark = pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
+pytestmark = pytest.mark.skipif(not machine.is_available(), reason="llvmlite is not installed")
 
 NUMPY = Options(backend="numpy")
 NATIVE = Options(backend="native", wait_for_code=True)
@@ -128,13 +128,19 @@ def test_a_stored_plan_is_run_without_its_text_and_tells_the_same_faults(
 def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pytest.MonkeyPatch) -> None:
     world, other, host = edited(), edited("-"), machine.host()
 
-    def key(of: World = world, facts: ready.Facts = ready.Facts(False, False), target: machine.Target = host) -> str:
+    def key(of: World = world, facts: ready.WorldFacts = ready.WorldFacts(False, False), target: machine.Target = host) -> str:
         subject = stored.subject(of.plan, of.backend.blocks, facts, target)  # type: ignore[attr-defined]
         assert subject is not None
         return subject.key
 
-    keys = [key(), key(other), key(facts=ready.Facts(True, False)), key(facts=ready.Facts(False, True)), key(target=machine.ANY)]
-    keys.append(key(facts=ready.Facts(False, False, timed=True)))
+    keys = [
+        key(),
+        key(other),
+        key(facts=ready.WorldFacts(True, False)),
+        key(facts=ready.WorldFacts(False, True)),
+        key(target=machine.ANY),
+    ]
+    keys.append(key(facts=ready.WorldFacts(False, False, timed=True)))
     assert key() == key(edited())
     monkeypatch.setattr(stored, "_sources", lambda: "other modules")
     keys.append(key())
@@ -147,7 +153,7 @@ def test_of_modules_without_sources_nothing_is_stored(monkeypatch: pytest.Monkey
     monkeypatch.setattr(antdsl, "__file__", str(tmp_path / "__init__.pyc"))
     monkeypatch.setattr(stored, "_sources", stored._sources.__wrapped__)
     world = edited()
-    assert stored.subject(world.plan, world.backend.blocks, ready.Facts(False, False), machine.host()) is None  # type: ignore[attr-defined]
+    assert stored.subject(world.plan, world.backend.blocks, ready.WorldFacts(False, False), machine.host()) is None  # type: ignore[attr-defined]
 
 
 def programs_saved(count: int) -> list[World]:
@@ -161,13 +167,13 @@ def test_the_latest_request_is_compiled_first_and_one_without_a_waiter_is_not_co
     compiled, go = afresh(), Event()
     worlds = programs_saved(7)
     ready._worker().submit(go.wait)
-    coming = [ready.beside(each.plan, each.backend.blocks, ready.Facts(False, False)) for each in worlds]  # type: ignore[attr-defined]
+    coming = [ready.start_building(each.plan, each.backend.blocks, ready.WorldFacts(False, False)) for each in worlds]  # type: ignore[attr-defined]
     del coming[1::2]
     go.set()
     for each in coming:
         each.result()
     blocks = [text for text in compiled if "@a.act.0" in text]
-    still = ready.Facts(False, False)
+    still = ready.WorldFacts(False, False)
     texts = [ready.program(each.plan, each.backend.blocks, still, machine.host()) for each in worlds[::2]]  # type: ignore[attr-defined]
     assert blocks == [each.units["a.act.0"] for each in reversed(texts)] and len(blocks) == 4
     ready._worker().submit(int).result()
@@ -181,10 +187,10 @@ def test_however_many_programs_step_in_turn_each_gets_its_code_and_asks_once(
     requests: list[Any] = []
 
     def beside(*what: Any) -> Any:
-        requests.append(ready.beside(*what))
+        requests.append(ready.start_building(*what))
         return requests[-1]
 
-    monkeypatch.setattr(native_backend, "beside", beside)
+    monkeypatch.setattr(native_backend, "start_building", beside)
     monkeypatch.setattr(native_backend, "_LOADING", 0.0)
     worlds = [bind(each.plan, each.setting, Options(backend="native")) for each in programs_saved(7)]
     go = Event()

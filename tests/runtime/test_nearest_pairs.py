@@ -29,7 +29,7 @@ def standing(positions: np.ndarray, seed: int = 3) -> tuple[World, Population]:
 
 def by_pairs(other: Population, own: tuple[np.ndarray, ...], ids: np.ndarray | None) -> list[int]:
     with np.errstate(all="ignore"):
-        every = pairs._every(other, own, ids)
+        every = pairs._all_pairs(other, own, ids)
         return pairs._agent(every, None, True, every.distance).tolist()
 
 
@@ -119,7 +119,9 @@ def test_programs_see_the_same_on_all_backends() -> None:
 def test_no_full_pairs_are_built_where_only_the_nearest_is_needed(monkeypatch: pytest.MonkeyPatch) -> None:
     measured = []
     monkeypatch.setattr(
-        pairs, "_every", lambda *arguments, every=pairs._every: (measured.append(len(arguments[1][0])), every(*arguments))[1]
+        pairs,
+        "_all_pairs",
+        lambda *arguments, every=pairs._all_pairs: (measured.append(len(arguments[1][0])), every(*arguments))[1],
     )
     again = Setting(crowds=(crowd(300, "a", radius=200.0), crowd(20, "b", radius=200.0, group=1)))
     for backend in ("numpy", "native"):

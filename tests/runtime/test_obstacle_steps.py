@@ -40,7 +40,7 @@ def feel(scene: RayScene, place: np.ndarray, step: np.ndarray, margin: np.ndarra
     size = np.linalg.norm(step, axis=0)
     going = np.flatnonzero(size > 1e-9)
     rays = (*place[:, going], *unit(step[:, going]), size[going] + margin[going])
-    hits = scene.feelers(*(np.float32(each) for each in rays))
+    hits = scene.cast_feelers(*(np.float32(each) for each in rays))
     hit_rows, hit = going[hits.hit], hits.hit
     return (
         hit_rows,
@@ -79,7 +79,7 @@ def test_steps_past_an_obstacle_keep_their_margin_and_slide(
     name: str, by_grid: bool, threads: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scene = RayScene.of(MESHES[name]())
-    grid = scene._triangles()
+    grid = scene._triangle_grid()
     assert grid is not None
     rng = np.random.default_rng(3)
     n, width = 3000, grid.tables[0][3]
@@ -96,12 +96,12 @@ def test_steps_past_an_obstacle_keep_their_margin_and_slide(
     radius = rng.uniform(-0.1, 1.5, n).astype(np.float32) * np.float32(width / 3)
     clear = (rng.choice([0, 0.9, 3.0], n) * scene.clearance(x, y, z)).astype(np.float32)
     calls: list[object] = []
-    touching = obstacles.touching
-    monkeypatch.setattr(obstacles, "touching", lambda *arguments: calls.append(arguments) or touching(*arguments))
+    touching = obstacles.select_touching
+    monkeypatch.setattr(obstacles, "select_touching", lambda *arguments: calls.append(arguments) or touching(*arguments))
     monkeypatch.setattr(parallel, "LIGHT", n // 4)
     if not by_grid:
         monkeypatch.setattr(scene, "tables", lambda: None)
-    new_steps = np.stack(obstacles._along(scene, (x, y, z), tuple(steps), tuple(up), radius, clear, threads))  # type: ignore[arg-type]
+    new_steps = np.stack(obstacles._slide_along(scene, (x, y, z), tuple(steps), tuple(up), radius, clear, threads))  # type: ignore[arg-type]
     expected = expected_steps(scene, np.stack([x, y, z]), steps.astype(float), up.astype(float), radius.astype(float), clear)
     assert bool(calls) != by_grid
     off = np.abs(new_steps - expected).max(axis=0)
@@ -117,20 +117,20 @@ def test_only_agents_that_were_stopped_are_slowed_and_only_those_that_stay_count
     step, old_velocity = requested_steps.copy(), velocity.copy()
     for axis in range(3):
         step[axis, axis::7] *= np.float32(0.5)
-    obstacles.slowed(tuple(requested_steps), tuple(step), tuple(velocity), np.float32(24), 4, 36)
+    obstacles.slow_velocities(tuple(requested_steps), tuple(step), tuple(velocity), np.float32(24), 4, 36)
     stopped = (step != requested_steps).any(axis=0) & (np.arange(40) >= 4) & (np.arange(40) < 36)
     assert np.array_equal(velocity, np.where(stopped, step * np.float32(24), old_velocity))
     for axis in range(3):
         other = requested_steps.copy()
         other[axis, 20] = np.nan if axis else np.nextafter(other[axis, 20], np.float32(9))
-        assert not obstacles.same(tuple(requested_steps), tuple(other), 0, 40) and obstacles.same(
+        assert not obstacles.is_unchanged(tuple(requested_steps), tuple(other), 0, 40) and obstacles.is_unchanged(
             tuple(requested_steps), tuple(other), 21, 40
         )
-    assert not obstacles.same(tuple(other), tuple(other), 0, 40) and obstacles.same(
+    assert not obstacles.is_unchanged(tuple(other), tuple(other), 0, 40) and obstacles.is_unchanged(
         tuple(requested_steps), tuple(requested_steps.copy()), 0, 40
     )
     rows, at, (radius, distances) = np.array([3, 9, 30]), np.empty((3, 3), np.float32), np.empty((2, 3), np.float32)
-    obstacles.strayed(rows, tuple(requested_steps), tuple(step), velocity[0], at, radius, distances)
+    obstacles.measure_drift(rows, tuple(requested_steps), tuple(step), velocity[0], at, radius, distances)
     far = np.linalg.norm((requested_steps - step)[:, rows], axis=0)
     assert np.array_equal(at, requested_steps[:, rows]) and np.array_equal(radius, velocity[0, rows])
     assert np.allclose(distances, far * (1 + 1e-6), rtol=3e-7) and (distances >= far).all() and far.any()

@@ -22,8 +22,8 @@ from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.reload import take_over
 from antdsl.runtime import Options, bind, step
 from antdsl.runtime.binding import spacing
-from antdsl.runtime.binding.spacing import Draw, Drawn, Occupancy, spread
-from antdsl.runtime.binding.start_findings import crowding
+from antdsl.runtime.binding.spacing import Draw, DrawnPlaces, Occupancy, spread_agents
+from antdsl.runtime.binding.start_findings import crowding_warnings
 from antdsl.runtime.world import World
 from antdsl.scene.setting import CrowdData, MeshData, Painted, PlaceData, Setting, SolidData
 
@@ -196,7 +196,7 @@ def test_a_place_without_room_says_how_many_fit(folder: Path) -> None:  # noqa: 
     shot, report = _opened(folder, "{on: ground, around: apple, radius: 20 mm}", 200)
     assert shot is not None and report.ok
     bound_world = bind(shot.plan, shot.setting)
-    (diagnostic,) = crowding(shot.scene, bound_world).diagnostics
+    (diagnostic,) = crowding_warnings(shot.scene, bound_world).diagnostics
     (line,) = bound_world.crowded
     place, radius = discs(bound_world)
     assert (line.count, line.radius) == (200, (2.0, 2.0)) and 45 < line.fit < 60
@@ -241,14 +241,14 @@ def test_tries_are_few_however_full_it_is(share: float, all_fit: bool) -> None:
     wide = 2.0 * np.sqrt(n / share)
     random = np.random.default_rng(1).random((n, 400, 2))
 
-    def draw(ids: np.ndarray, tries: range) -> Drawn:
+    def draw(ids: np.ndarray, tries: range) -> DrawnPlaces:
         draw_count[0] += len(ids) * len(tries)
         u, v = np.concatenate([random[ids, k] for k in tries]).T
         away, angle = np.sqrt(u) * wide, 2 * np.pi * v
         place = np.stack([away * np.cos(angle), 0 * away, away * np.sin(angle)], axis=1)
-        return Drawn(Footing.nowhere(len(u)), place, np.zeros_like(place), np.ones(len(u), np.bool_))
+        return DrawnPlaces(Footing.nowhere(len(u)), place, np.zeros_like(place), np.ones(len(u), np.bool_))
 
-    drawn, fits = spread(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
+    drawn, fits = spread_agents(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.all() == all_fit
     assert draw_count[0] <= 40 * n
     assert not overlapping(drawn.place[fits], np.full(fits.sum(), 2.0)).any()
@@ -268,11 +268,11 @@ def test_pairs_are_few_where_thousands_want_one_place(monkeypatch: pytest.Monkey
     monkeypatch.setattr(spacing.Occupancy, "find_overlaps", counted)
     n = 10_000
 
-    def draw(ids: np.ndarray, tries: range) -> Drawn:
+    def draw(ids: np.ndarray, tries: range) -> DrawnPlaces:
         place = np.zeros((len(ids) * len(tries), 3))
-        return Drawn(Footing.nowhere(len(place)), place, place.copy(), np.ones(len(place), np.bool_))
+        return DrawnPlaces(Footing.nowhere(len(place)), place, place.copy(), np.ones(len(place), np.bool_))
 
-    _, fits = spread(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
+    _, fits = spread_agents(Occupancy(), draw, np.arange(n), np.full(n, 2.0), 0)
     assert fits.tolist() == [True] + [False] * (n - 1)
     assert most[0] < 20 * n
 
@@ -307,16 +307,16 @@ def test_what_is_said_of_no_room_is_true(
 @pytest.mark.parametrize("by", ["above", "area"])
 def test_nothing_is_said_of_room_beside_all_surfaces(folder: Path, by: str) -> None:  # noqa: F811
     shot, _ = _opened(folder, f"{{on: ground, around: [900, 0, 0], radius: 5 mm, by: {by}}}", 200)
-    assert shot is not None and crowding(shot.scene, bind(shot.plan, shot.setting)).diagnostics == []
+    assert shot is not None and crowding_warnings(shot.scene, bind(shot.plan, shot.setting)).diagnostics == []
 
 
 def _square(wide: float, seed: int) -> Draw:
     """Draws places on a square."""
 
-    def draw(ids: np.ndarray, tries: range) -> Drawn:
+    def draw(ids: np.ndarray, tries: range) -> DrawnPlaces:
         place = np.concatenate([np.random.default_rng((seed, k)).random((ids.max() + 1, 3))[ids] for k in tries]) * wide
         place[:, 1] = 0.0
-        return Drawn(Footing.nowhere(len(place)), place, np.zeros_like(place), np.ones(len(place), np.bool_))
+        return DrawnPlaces(Footing.nowhere(len(place)), place, np.zeros_like(place), np.ones(len(place), np.bool_))
 
     return draw
 
@@ -324,18 +324,18 @@ def _square(wide: float, seed: int) -> Draw:
 @pytest.mark.parametrize("mixed", [False, True])
 def test_large_ones_do_not_look_through_all_small_ones_below_them(mixed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     n, compared = 3000, [0]
-    share = Occupancy._share
+    share = Occupancy._distance_share
 
     def counted(occupancy: Occupancy, place: np.ndarray, radius: np.ndarray, entry: np.ndarray) -> np.ndarray:
         compared[0] += entry.size
         return share(occupancy, place, radius, entry)
 
-    monkeypatch.setattr(Occupancy, "_share", counted)
+    monkeypatch.setattr(Occupancy, "_distance_share", counted)
     occupancy = Occupancy()
     small, large = np.full(n, 0.1), np.full(n, 200.0)
     first, then = (np.where(np.arange(n) % 2, large, small),) * 2 if mixed else (small, large)
-    fits = spread(occupancy, _square(200.0, 1), np.arange(n), first, 0)[1]
-    later_fits = spread(occupancy, _square(200.0, 2), np.arange(n), then, n)[1]
+    fits = spread_agents(occupancy, _square(200.0, 1), np.arange(n), first, 0)[1]
+    later_fits = spread_agents(occupancy, _square(200.0, 2), np.arange(n), then, n)[1]
     assert fits[first < 1].mean() > 0.9
     assert later_fits[then > 1].sum() == 0 and compared[0] < 500 * n
 
@@ -347,10 +347,10 @@ def test_how_free_a_large_disc_is_among_small_ones_is_exact(count: int) -> None:
     large, size = draw.random((200, 3)) * 100, 0.5 + 20 * draw.random(200)
     occupancy = Occupancy()
     occupancy.add(small, wide, np.arange(count))
-    occupancy.settle()
+    occupancy.drop_removed()
     away = np.sqrt(((large[:, None] - small[None]) ** 2).sum(axis=2))
     expected = np.minimum((away / ((size[:, None] + wide[None]) * 1.001)).min(axis=1), 1)
-    assert occupancy.free(large, size, np.full(200, count)) == pytest.approx(expected, rel=1e-12)
+    assert occupancy.freedom(large, size, np.full(200, count)) == pytest.approx(expected, rel=1e-12)
 
 
 # --- by area -------------------------------------------------------------------------------------------------------------

@@ -42,7 +42,7 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
     wish = tuple(each[: len(rows)] for each in vectors(rng, 20.0))
     x, y = rng.normal(0, 9, (2, len(rows)))
     plane = Plane.of(population, rows, threads)
-    moves = plane.moves(population, rows, wish, threads)
+    moves = plane.measure_moves(population, rows, wish, threads)
     results = (*plane.up, *plane.ahead, *plane.left, *moves.own, *moves.velocity, *moves.wish, moves.fastest)
 
     def known(name: str) -> np.ndarray:
@@ -65,6 +65,6 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
     for one, other in zip(results, expected, strict=True):
         assert np.allclose(one[sure], other[sure], rtol=1e-9, atol=1e-9, equal_nan=True)
     assert sure.mean() > 0.8 and (size == 0).sum() > 10
-    raised = np.stack(plane.raised(x, y, threads))
+    raised = np.stack(plane.to_space(x, y, threads))
     assert raised.dtype == np.float32
     assert np.allclose(raised, np.stack(plane.ahead) * x + np.stack(plane.left) * y, rtol=1e-6, atol=1e-6, equal_nan=True)

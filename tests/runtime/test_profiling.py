@@ -31,7 +31,7 @@ from antdsl.runtime.profiling import Meter, Profile
 ROOT = Path(__file__).parents[2]
 NUMPY, NATIVE = Options(backend="numpy"), Options(backend="native", wait_for_code=True)
 FORAGING = ROOT / "examples" / "foraging" / "scene.yaml"
-in_code = pytest.mark.skipif(not (machine.available() and machine.host().x86), reason="no machine code whose lines are timed")
+in_code = pytest.mark.skipif(not (machine.is_available() and machine.host().x86), reason="no machine code whose lines are timed")
 BLOCKS = ("decide", "act", "blend", "births")
 PROGRAM = """ant 1
 use steering
@@ -375,7 +375,7 @@ def between(lines: list[str], mark: str, word: str) -> list[int]:
 def test_what_a_line_works_out_is_worked_out_between_its_marks(target: machine.Target) -> None:
     """Though all of it is read in another line, and LLVM would work it out there, or beside what another line works out."""
     world = play(ROOTS, crowd(3, radius=3), ways=(NUMPY,)).world
-    timed_program = programs.program(world.plan, world.backend.blocks, programs.Facts(False, False, True), target)  # type: ignore[union-attr]
+    timed_program = programs.program(world.plan, world.backend.blocks, programs.WorldFacts(False, False, True), target)  # type: ignore[union-attr]
     text = timed_program.units["a.act.0"]
     body = text[text.index("@a.act.0.inside(ptr %t, i64 %begin, i64 %end) noinline") :].splitlines()
     assert between(body, "@llvm.readcyclecounter()", "@llvm.sqrt") == [3, 6, 11]
@@ -393,8 +393,8 @@ def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_
     monkeypatch.setattr(runner, "perf_counter", clock)
     answer, nothing = runner.IN_PLACE["ray"]
     monkeypatch.setitem(runner.IN_PLACE, "ray", (clock.slow(answer, 0.25), nothing))  # type: ignore[arg-type]
-    function = ready.Ready.function
-    monkeypatch.setattr(ready.Ready, "function", lambda self, name: clock.slow(function(self, name), 0.01))
+    function = ready.ReadyCode.function
+    monkeypatch.setattr(ready.ReadyCode, "function", lambda self, name: clock.slow(function(self, name), 0.01))
     plain, watched = (bind(shot.plan, shot.setting, options) for options in (Options(backend="numpy"), NATIVE))
     meter = Meter(None)
     codes = []
@@ -432,12 +432,12 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
     coming: list[tuple[Future[Any], Future[Any]]] = []
 
     def later(*what: Any) -> Future[Any]:
-        coming.append((Future(), ready.beside(*what)))
+        coming.append((Future(), ready.start_building(*what)))
         return coming[-1][0]
 
-    monkeypatch.setattr(native_backend, "beside", later)
+    monkeypatch.setattr(native_backend, "start_building", later)
     monkeypatch.setattr(native_backend, "_LOADING", 0.0)
-    monkeypatch.setattr(native_backend, "known", lambda plan, facts: None)
+    monkeypatch.setattr(native_backend, "find_ready", lambda plan, facts: None)
     meter, times_by_frame = Meter(None), []
     for frame in range(5):
         if frame == 3:

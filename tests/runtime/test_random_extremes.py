@@ -10,7 +10,7 @@ from sampling import sampled
 
 from antdsl.machine_code import machine
 from antdsl.plan import ir
-from antdsl.runtime import Built, Options, Setting, bind, state_hash, step
+from antdsl.runtime import BindingCache, Options, Setting, bind, state_hash, step
 
 PROGRAMS, FRAMES, BY_REFERENCE = 300, 50, 3
 MOST = 150  # agents; programs that breed without end are followed as far as that
@@ -21,7 +21,7 @@ CHUNKS, THREADS = (8, 24, 1000, 100_000), (1, 2, 5)
 BY_NONE = {"operation told"}
 
 
-def states(plan: ir.Plan, setting: Setting, seed: int, options: Options, frames: int, built: Built) -> list[str]:
+def states(plan: ir.Plan, setting: Setting, seed: int, options: Options, frames: int, built: BindingCache) -> list[str]:
     """Hashes of the frames, as far as the crowd is not too large."""
     world = bind(plan, setting, options, built=built)
     hashes = [state_hash(world)]
@@ -36,11 +36,11 @@ def states(plan: ir.Plan, setting: Setting, seed: int, options: Options, frames:
     return hashes
 
 
-@pytest.mark.skipif(not machine.available(), reason="llvmlite is not installed")
+@pytest.mark.skipif(not machine.is_available(), reason="llvmlite is not installed")
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize("seed", sampled(range(PROGRAMS), (6, 7)))
 def test_backends_agree_on_whatever_comes(seed: int) -> None:
-    extremes, built = Extremes(seed), Built()
+    extremes, built = Extremes(seed), BindingCache()
     plan, _ = random_extremes.plan_and_program(extremes)
     setting = random_extremes.setting(extremes)
     options = Options("native", CHUNKS[seed % 4], THREADS[seed % 3], seed, "quarantine", wait_for_code=True)

@@ -12,7 +12,7 @@ from plan_text import plan_of
 from antdsl.machine_code import machine
 from antdsl.passes import optimise
 from antdsl.runtime import CrowdData, MeshData, Options, PlaceData, Setting, World, bind, state_hash, step
-from antdsl.runtime.backends.native.programs import Facts
+from antdsl.runtime.backends.native.programs import WorldFacts
 from antdsl.runtime.moving import moving_geometry
 from antdsl.scene.setting import Moves, SolidData
 from antdsl.scene.staging.moves import MeshMoves
@@ -20,7 +20,7 @@ from antdsl.scene.staging.moves import MeshMoves
 CELL = 2.0
 NATIVE = Options(backend="native", chunk=8, threads=2, wait_for_code=True)
 BOTH = OPTION_SETS[::2]
-EVERY = (*OPTION_SETS, NATIVE) if machine.available() else OPTION_SETS
+EVERY = (*OPTION_SETS, NATIVE) if machine.is_available() else OPTION_SETS
 Place = tuple[float, float, float]
 
 
@@ -167,4 +167,6 @@ def test_on_ground_that_has_moved_the_cells_go_along() -> None:
     moves = Moves(meshes={"ground": MeshMoves.rigid(poses, len(ground[0]))})
     got, world = smelled(setting(ground, 1, moves=moves), [(0.2, 0, 0.2)], [(0, 0, -1)], (0, 1, 0), "10 mm", start_steps=2)
     assert got == [cell(world, (10, 0, 0), (0, 1, 0))]
-    assert moving_geometry.moving(world) is not None and Facts.of(world.setting) == Facts(moving=True, detail=False)
+    assert moving_geometry.moving_ground(world) is not None and WorldFacts.of(world.setting) == WorldFacts(
+        moving=True, detail=False
+    )

@@ -108,7 +108,7 @@ def test_substeps_are_those_of_one_agent_after_another(
     with np.errstate(all="ignore"):
         for _ in range(2):
             agents = substep(world_ground, crowd, float(DT), float(np.float32(DT / 2)), number == 0)
-            advance.move(world, crowd, number)  # type: ignore[arg-type]
+            advance.move_agents(world, crowd, number)  # type: ignore[arg-type]
             walls += sum(agent.wall is not None for agent in agents)
             for name, own in (("velocity", 2e-3), ("heading", 2e-3), ("up", 2e-3)):
                 expected = np.array([getattr(agent, name) for agent in agents])
@@ -131,7 +131,7 @@ def test_bodies_that_lean_are_laid_along_the_ground_and_stand_up_again(ground: M
     crowd = people(ground, 5, False)
     old_registers, start = standing(crowd)
     up, heading = (np.stack([old_registers[f"{name}.{axis}"] for axis in "xyz"], axis=1) for name in ("up", "heading"))
-    tilting.lay(crowd, 2)
+    tilting.lay_headings(crowd, 2)
     leans = (up != crowd.normal).any(axis=1)
     for registers in (crowd.now, crowd.start):
         assert np.array_equal(np.stack([registers[f"up.{axis}"] for axis in "xyz"], axis=1), crowd.normal)
@@ -143,7 +143,7 @@ def test_bodies_that_lean_are_laid_along_the_ground_and_stand_up_again(ground: M
     for axis in "xyz":
         other = crowd.now[f"heading.{axis}"].copy()
         crowd.now[f"heading.{axis}"][is_changed] += np.float32(0.5)  # by one component only
-        tilting.stand_up(crowd)
+        tilting.restore_bodies(crowd)
         assert crowd.laid is None
         for name in old_registers:
             same = ~is_changed | ~leans | (not name.startswith("heading")) if name != f"heading.{axis}" else ~is_changed
@@ -151,7 +151,7 @@ def test_bodies_that_lean_are_laid_along_the_ground_and_stand_up_again(ground: M
             assert np.array_equal(crowd.start[name], start[name], equal_nan=True), name
         assert np.array_equal(crowd.now[f"heading.{axis}"][is_changed], other[is_changed] + np.float32(0.5))
         crowd.now |= {name: array.copy() for name, array in old_registers.items()}
-        tilting.lay(crowd)
+        tilting.lay_headings(crowd)
 
 
 def test_bodies_that_begin_before_a_wall_are_tilted_for_it(ground: MeshGround) -> None:
@@ -168,7 +168,7 @@ def test_bodies_that_begin_before_a_wall_are_tilted_for_it(ground: MeshGround) -
     rows = np.flatnonzero(chosen)
     world = SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1))
     with np.errstate(all="ignore"):
-        tilting.settle(world, crowd, rows)  # type: ignore[arg-type]
+        tilting.settle_bodies(world, crowd, rows)  # type: ignore[arg-type]
     tilts = 0
     for i, agent in enumerate(agents):
         up, heading = agent.normal, agent.heading
@@ -195,7 +195,7 @@ def test_walls_are_those_that_bodies_tilt_for(ground: MeshGround, facing: bool) 
     looking = tuple(np.ascontiguousarray([agent.looking[k] for agent in agents], np.float32) for k in range(3))
     state = np.array([LEANS if agent.leans else STANDS for agent in agents], np.int32)
     reach, world = np.empty(N), SimpleNamespace(ground=ground, options=SimpleNamespace(threads=1))
-    rises.reaches(crowd.now["size"], reach)
+    rises.fill_reach(crowd.now["size"], reach)
     assert np.allclose(reach, [3 * agent.half for agent in agents])
     nearby_walls = rises.find_walls(world, crowd, looking, step, reach, state)  # type: ignore[arg-type]
     walls = [agent.wall for agent in agents]

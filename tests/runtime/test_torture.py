@@ -129,7 +129,11 @@ def test_no_agent_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it()
     footing, is_placed = ground.place(start_points, np.array([0.0, 1.0, 0.0]))
     assert is_placed.all()
     begin = ground.move(
-        footing, 0 * start_points, rng.normal(size=start_points.shape), ground.upright(footing, np.array([0.0, 1, 0])), BODY
+        footing,
+        0 * start_points,
+        rng.normal(size=start_points.shape),
+        ground.upright_normals(footing, np.array([0.0, 1, 0])),
+        BODY,
     )
     mesh_changes = set()
     for k, (previous, at) in enumerate(wander(ground, begin, STEPS, rng)):
@@ -259,14 +263,14 @@ def test_cuts_of_a_mesh_that_moves_are_not_gone_through() -> None:
         turn, shift = 0.05 * k, np.array([0.3 * k, 0.0, -0.2 * k])
         spin = np.array([[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]])
         previous_axes = moving.axes(at.footing)
-        moving.pose({"block": mesh[0] @ spin.T + shift})
+        moving.pose_meshes({"block": mesh[0] @ spin.T + shift})
         heading, up = (
             sum(axis * (was * v.T).sum(axis=0) for axis, was in zip(moving.axes(at.footing), previous_axes, strict=True)).T
             for v in (at.heading, at.up)
         )
         heading = heading + np.cross(up, heading) * rng.normal(0, 0.3, (len(up), 1))
         at = moving.move(at.footing, heading * STEP, heading, up, BODY)
-    moving.pose({"block": mesh[0]})
+    moving.pose_meshes({"block": mesh[0]})
     rest_ground = MeshGround({"block": mesh})
     side = np.where(side_of(moving, at, spin) < 0, -1.0, 1.0)
     points = rest_ground.position(at.footing) + rest_ground.normal(at.footing) * (side * FINE)[:, None]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from antdsl import limits
-from antdsl.runtime.binding.world_work import Work, world_work
+from antdsl.runtime.binding.world_work import WorkEstimate, world_work
 from antdsl.scene.setting import CrowdData, MeshData, Setting, SolidData, SolvedFlow, SpreadFlow, Target
 
 SQUARE = MeshData(np.array([[0, 0, 0], [100, 0, 0], [100, 0, 100], [0, 0, 100.0]]), np.array([[0, 2, 1], [0, 3, 2]], np.int32))
@@ -18,7 +18,7 @@ def test_faces_cells_and_agents_are_counted() -> None:
     work_items = world_work(setting, {"trail": (("ground",), 2.0)}, {"ant": 40})
     assert work_items[0][:3] == ("surface ground", 2, "faces")
     assert work_items[1][:3] == ("field trail", 2500, "cells at least")
-    assert work_items[2] == Work("species ant", 12, "agents", 12 * (2 * 40 + 600))
+    assert work_items[2] == WorkEstimate("species ant", 12, "agents", 12 * (2 * 40 + 600))
 
 
 @pytest.mark.parametrize("edge", [1e-9, 5e-324, 1e-150])

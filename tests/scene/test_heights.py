@@ -17,7 +17,7 @@ from antdsl.pipeline import Shot, open_scene
 from antdsl.reader.images import read_image
 from antdsl.reader.protocol import Message
 from antdsl.runtime import Options, bind, step
-from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
+from antdsl.scene.geometry.heights import height_surface, read_heights, surface_deviation
 from antdsl.scene.geometry.mesh_text import MeshError
 
 PROGRAM = "ant 1\nuse steering\nworld { surface arena; map damp }\nspecies a { state w { steer wander() } }\n"
@@ -107,7 +107,7 @@ def test_agents_walk_on_it_by_a_painted_map_and_info_tells_of_its_patches(tmp_pa
 
 def test_the_deviation_is_the_largest_that_is_found_by_looking() -> None:
     heights = RNG.normal(0, 3, (4, 6))
-    vertices, faces = surface_of(heights, (5.0, 3.0))
+    vertices, faces = height_surface(heights, (5.0, 3.0))
     u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 5, 101), np.linspace(0, 3, 61)))
     i, j = np.minimum(v.astype(int), 2), np.minimum(u.astype(int), 4)
     a, b = u - j, v - i
@@ -120,7 +120,7 @@ def test_the_deviation_is_the_largest_that_is_found_by_looking() -> None:
         np.stack([u - 2.5, v - 1.5, np.ones(len(u))], axis=1)[..., None],
     )[..., 0]
     flat = (weights * p[..., 1]).sum(axis=1)
-    assert np.abs(flat - patch).max() == pytest.approx(deviation(heights), rel=1e-3)
+    assert np.abs(flat - patch).max() == pytest.approx(surface_deviation(heights), rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -139,7 +139,7 @@ def test_binary_stl_may_be_padded(head: bytes, tail: bytes) -> None:
 def test_bytes_after_a_binary_stl_are_reported_and_wrong_counts_are_errors() -> None:
     notes = ImportNotes()
     mesh_arrays(bytes(80) + struct.pack("<I", 1) + FACET + b"made by me", "a.stl", notes=notes)
-    assert notes.skipped_words() == ["10 bytes after the last face"]
+    assert notes.skipped_phrases() == ["10 bytes after the last face"]
     for count, words in ((2, "1 fit"), (0, "and has 1")):
         with pytest.raises(MeshError, match=words):
             mesh_arrays(bytes(80) + struct.pack("<I", count) + FACET, "a.stl")
@@ -164,7 +164,7 @@ def test_utf_16_is_an_error_that_says_what_to_do() -> None:
 def test_what_is_not_read_is_noted_with_its_first_line() -> None:
     notes = ImportNotes()
     mesh_arrays(b"v 0 0 0\nv 1 0 0\nv 0 0 1\ng a#1\nl 1 2\nl 2 3\nfoo 1\ncurv 0 1 1 2\nf 1 2 3\n", "a.obj", notes=notes)
-    assert notes.skipped_words() == ["2 × lines (`l`) (line 5)", "unknown keyword `foo` (line 7)", "curves (`curv`) (line 8)"]
+    assert notes.skipped_phrases() == ["2 × lines (`l`) (line 5)", "unknown keyword `foo` (line 7)", "curves (`curv`) (line 8)"]
 
 
 def test_triangle_strips_turn_and_begin_again() -> None:

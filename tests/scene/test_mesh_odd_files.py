@@ -24,7 +24,7 @@ POINTS = np.array([(0, 0, 0), (4, 0, 0), (4, 0, 4), (0, 0, 4), (0, 0, 4)], float
 def words_of(data: bytes, name: str = "a.obj", group: str | None = None) -> tuple[int, list[str]]:
     """How many triangles a file gives, and the notes."""
     notes = ImportNotes()
-    return len(mesh_arrays(data, name, group, notes=notes)[1]), notes.skipped_words()
+    return len(mesh_arrays(data, name, group, notes=notes)[1]), notes.skipped_phrases()
 
 
 # --- polygons ----------------------------------------------------------------------------------------------------------
@@ -117,7 +117,7 @@ def glb_words(group: str | None = None, nodes: list[dict[str, object]] | None = 
     for node, properties in zip(tree["nodes"], nodes or [], strict=False):
         node |= properties
     mesh = read_mesh(json.dumps(tree).encode(), "a.gltf", group)
-    return len(mesh.faces), mesh.notes.skipped_words()
+    return len(mesh.faces), mesh.notes.skipped_phrases()
 
 
 HIDDEN = {"extensions": {"KHR_node_visibility": {"visible": False}}}

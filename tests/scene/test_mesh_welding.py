@@ -11,7 +11,7 @@ from plans import bare, block
 from scene.test_mesh_imports import WALKER
 
 from antdsl.diagnostics import Diagnostic
-from antdsl.ground.mesh.topology import build
+from antdsl.ground.mesh.topology import build_topology
 from antdsl.pipeline import Choices, check_path, mesh_imports
 from antdsl.runtime.binding.bind_world import bind
 from antdsl.scene.geometry.import_notes import import_lines
@@ -60,7 +60,7 @@ def test_a_scene_and_its_ground_agree_on_what_is_ground() -> None:
         vertices[rng.integers(0, 9, 3)] = vertices[0]
         faces = rng.integers(0, 9, (3, 3)).astype(np.int32)
         extent = float(np.ptp(vertices[faces].reshape(-1, 3), axis=0).max())
-        live = bool(build(vertices, faces, np.zeros(3, np.int32), extent).live.any())
+        live = bool(build_topology(vertices, faces, np.zeros(3, np.int32), extent).live.any())
         assert has_live_face(vertices, faces, extent) == live
         outcomes.add(live)
     assert outcomes == {True, False}

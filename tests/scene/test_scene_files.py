@@ -19,7 +19,7 @@ from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.scene import PathRefused, Roots
 from antdsl.scene.geometry.meshes import MeshError, placed, read_mesh
 from antdsl.scene.setting import MeshData
-from antdsl.scene.staging.item_placement import height_over
+from antdsl.scene.staging.item_placement import surface_height
 
 ROOT = Path(__file__).resolve().parents[2]
 PROGRAM = """ant 1
@@ -240,8 +240,8 @@ def test_meshes_are_turned_scaled_and_put_in_their_place() -> None:
 
 def test_the_height_of_a_slope_is_found_and_none_beside_it() -> None:
     slope = MeshData(np.array([[0, 0, 0], [0, 0, 10], [10, 5, 0], [10, 5, 10.0]]), np.array([[0, 1, 2], [1, 3, 2]], np.int32))
-    assert height_over(slope, (4, -50, 3), "y") == pytest.approx(2)
-    assert height_over(slope, (11, 0, 3), "y") is None
+    assert surface_height(slope, (4, -50, 3), "y") == pytest.approx(2)
+    assert surface_height(slope, (11, 0, 3), "y") is None
 
 
 # --- scene against program -----------------------------------------------------------------------------------------------

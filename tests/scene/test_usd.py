@@ -122,11 +122,11 @@ def test_transforms_nest_instances_are_baked_and_moves_are_stored_separately(tmp
     usd_mesh = read_usd_mesh(opened(tmp_path, body + mesh("still"), "/w", frames=range(1, 5), head=MM))
     assert usd_mesh.raw.vertices.reshape(2, 4, 3)[:, 2].tolist() == [[1, 1, 1], [2, 2, 3]]
     assert usd_mesh.moves is not None and usd_mesh.moves.frames == 4
-    at = [usd_mesh.moves.vertices(usd_mesh.raw.vertices, k)[0, 0] for k in range(-1, 6)]
+    at = [usd_mesh.moves.vertices_at(usd_mesh.raw.vertices, k)[0, 0] for k in range(-1, 6)]
     assert at == [0, 0, 1, 2, 2, 2, 2], "held before the first and after the last"
     complete_mesh = read_usd_mesh(opened(tmp_path, body + mesh("still"), "/", frames=range(1, 5), head=MM))
     assert complete_mesh.moves is not None and len(complete_mesh.raw.vertices) == 12
-    moved = complete_mesh.moves.vertices(complete_mesh.raw.vertices, 2) - complete_mesh.raw.vertices
+    moved = complete_mesh.moves.vertices_at(complete_mesh.raw.vertices, 2) - complete_mesh.raw.vertices
     assert sorted(moved[:, 0].tolist()) == [0] * 4 + [2] * 8
 
 
@@ -140,7 +140,7 @@ def test_points_that_bend_and_frames_per_second(tmp_path: Path) -> None:
     head = f"{MM}\ntimeCodesPerSecond = 48"
     usd_mesh = read_usd_mesh(opened(tmp_path, body, frames=range(0, 25), head=head))
     assert usd_mesh.moves is not None
-    assert [usd_mesh.moves.vertices(usd_mesh.raw.vertices, k)[0, 2] for k in (0, 12, 24)] == [0, 2, 4]
+    assert [usd_mesh.moves.vertices_at(usd_mesh.raw.vertices, k)[0, 2] for k in (0, 12, 24)] == [0, 2, 4]
     other = body.replace("48: [(0,0,4), ", "48: [(0,0,4), (0,0,4), ")
     assert refused(lambda: read_usd_mesh(opened(tmp_path, other, frames=range(0, 25), head=head))).code == "moving-topology"
     faces = mesh().replace(
@@ -383,7 +383,7 @@ def test_the_set_is_what_was_baked_by_hand(both: tuple[Shot, Shot]) -> None:
         one, two = ({**s.surfaces, **s.obstacles}[name] for s in (usd, baked))
         assert np.array_equal(one.faces, two.faces) and np.abs(one.vertices - two.vertices).max() < 1e-5
     for frame in (0, 1, 20, 39):
-        one, two = (s.moves.meshes["roller"].vertices(s.obstacles["roller"].vertices, frame) for s in (usd, baked))
+        one, two = (s.moves.meshes["roller"].vertices_at(s.obstacles["roller"].vertices, frame) for s in (usd, baked))
         assert np.abs(one - two).max() < 1e-5
     assert np.abs(usd.curves["way"] - baked.curves["way"]).max() < 1e-5
     for one, two in zip(usd.items["food"], baked.items["food"], strict=True):
@@ -414,7 +414,7 @@ def test_both_run_alike_and_no_agent_is_ever_inside_a_stone(both: tuple[Shot, Sh
         stones = both[0].setting.obstacles["stones"]
         assert np.abs(winding(position_sets[0], stones.vertices, stones.faces)).max() < 0.5
         rest = both[0].setting.obstacles["roller"]
-        at = both[0].setting.moves.meshes["roller"].vertices(rest.vertices, one.frame - 1)
+        at = both[0].setting.moves.meshes["roller"].vertices_at(rest.vertices, one.frame - 1)
         assert np.abs(winding(position_sets[0], at, rest.faces)).max() < 0.5, one.frame
         pushed = min(pushed, float(np.linalg.norm(position_sets[0] - at.mean(axis=0), axis=1).min()))
         states = [p.now["main.state"][p.in_id_order()] for p in walkers]

@@ -11,11 +11,11 @@ import pytest
 from plan_text import plan_of
 
 from antdsl.bench import programs
-from antdsl.bench.cases import opened
+from antdsl.bench.cases import open_shot
 from antdsl.runtime import Options, bind, neighbourhood, step
 from antdsl.runtime.checkpoints import state_hash
 from antdsl.runtime.neighbourhood import Plane
-from antdsl.senses.clear_velocity import Others, clear_velocities
+from antdsl.senses.clear_velocity import Neighbours, clear_velocities
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
@@ -24,14 +24,14 @@ from crossing import circle, corridor  # lies beside the tests
 FASTEST, DT = 20.0, 1 / 24
 
 
-def others(draw: np.random.Generator, agents: int, count: int, near: float) -> Others:
+def others(draw: np.random.Generator, agents: int, count: int, near: float) -> Neighbours:
     x, y = near * draw.normal(size=(2, agents, count))
     vx, vy = 15 * draw.normal(size=(2, agents, count))
     radius_sum = draw.uniform(2, 6, (agents, count))
-    return Others(x, y, vx, vy, radius_sum, draw.random((agents, count)) < 0.9, np.ones((agents, count), np.bool_))
+    return Neighbours(x, y, vx, vy, radius_sum, draw.random((agents, count)) < 0.9, np.ones((agents, count), np.bool_))
 
 
-def case(seed: int, count: int, near: float) -> tuple[Others, tuple[np.ndarray, ...]]:
+def case(seed: int, count: int, near: float) -> tuple[Neighbours, tuple[np.ndarray, ...]]:
     draw, n = np.random.default_rng(seed), 60
     velocity, wish = draw.normal(size=(2, 2, n)) * 12
     return others(draw, n, count, near), (velocity, wish, np.full(n, FASTEST), np.full(n, 2.0))
@@ -58,7 +58,7 @@ def border(x: np.ndarray, v: np.ndarray, radius_sum: float, seconds: float, firs
     return min(candidates, key=lambda each: float(np.hypot(*each[0])))
 
 
-def beyond(o: Others, velocity: np.ndarray, horizon: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def beyond(o: Neighbours, velocity: np.ndarray, horizon: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """How far velocities [n,k] are beyond the worst border of each agent."""
     worst = np.full(x.shape, -np.inf)
     for a in range(len(x)):
@@ -101,7 +101,7 @@ def test_a_change_by_half_each_just_misses_within_the_horizon() -> None:
     # Two discs of 4 mm together, 40 mm apart, head on but for 1 mm, 20 mm/s: section 4 of the paper.
     x, y, v = np.array([[40.0], [-40.0]]), np.array([[1.0], [-1.0]]), np.array([[40.0], [-40.0]])
     zero, is_present = np.zeros((2, 1)), np.ones((2, 1), np.bool_)
-    o = Others(x, y, v, zero, np.full((2, 1), 4.0), is_present, is_present)
+    o = Neighbours(x, y, v, zero, np.full((2, 1), 4.0), is_present, is_present)
     own = (np.array([20.0, -20.0]), np.zeros(2))
     velocities = clear_velocities(o, own, own, np.full(2, 25.0), np.full(2, 3.0), DT)
     relative = np.array([velocities[0][0] - velocities[0][1], velocities[1][0] - velocities[1][1]])
@@ -128,7 +128,7 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
     (tmp_path / "scene.yaml").write_text(f"antdsl: 1\nunits: mm\nfps: 24\nframes: 1..9\nseed: 1\ncrowd: [{crowds}]\n")
     for name in ("dog", "cat"):
         (tmp_path / f"{name}.ant").write_text(programs.CROWD.replace("person", name))
-    shot, draw = opened(tmp_path / "scene.yaml", None), np.random.default_rng(3)
+    shot, draw = open_shot(tmp_path / "scene.yaml", None), np.random.default_rng(3)
     world = bind(shot.plan, shot.setting, Options(backend="numpy"))
     for population in world.populations.values():
         for name in ("velocity", "up"):
@@ -142,7 +142,7 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
     plane = Plane.of(asking, rows, 1)
     own, within = tuple(draw.normal(size=(3, 50))), np.where(draw.random(50) < 0.9, 900.0, draw.choice([-1, 3000.0], 50))
     count = np.where(draw.random(50) < 0.2, draw.choice([0, -1, 2], 50), most).astype(float)
-    columns = neighbourhood._others(world, asking, rows, within, count, own, plane)
+    columns = neighbourhood._nearest_others(world, asking, rows, within, count, own, plane)
     for a, row in enumerate(rows):
         near = []
         for number, (name, other) in enumerate(world.populations.items()):
@@ -170,7 +170,7 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
             assert np.isclose(columns.radius_sum[a, c], sum(radius if 0 < radius < np.inf else 0.0 for radius in radii))
             assert columns.first[a, c] == (asking.ids[row] < name_id if other is asking else asking.name < name)
     assert columns.is_present.sum() > 30 * min(most, 5)
-    assert not neighbourhood._others(world, asking, rows, within, count, None, plane).vx.any()
+    assert not neighbourhood._nearest_others(world, asking, rows, within, count, None, plane).vx.any()
 
 
 PROGRAM = """species ant {

@@ -11,8 +11,8 @@ from antdsl.numerics import parallel
 from antdsl.numerics.sorting import stable_order
 from antdsl.runtime import Options, item_pairs, state_hash, step
 from antdsl.senses import cell_order, neighbours
-from antdsl.senses.cell_order import NO_ORDER, CellOrder, Shape, box_around, in_order
-from antdsl.senses.neighbours import CellGrid, Pairs, TooManyWithin
+from antdsl.senses.cell_order import NO_ORDER, CellOrder, Shape, box_around, store_registers
+from antdsl.senses.neighbours import CellGrid, Pairs, TooManyNeighbours
 
 EXTENTS = ((400, 10, 400), (100, 100, 100), (3000, 0, 0), (0, 900, 0), (9e6, 4e4, 9e6), (60, 1, 60))
 RADII = {
@@ -71,11 +71,11 @@ def test_pairs_are_all_in_reach_in_the_order_of_cells_and_ids(extent, radius) ->
     positions, ids = crowd(extent)
     for cell in (6.0, 80.0):
         grid = CellGrid(*positions, ids, cell)
-        pairs = grid.pairs(None, RADII[radius])
+        pairs = grid.find_pairs(None, RADII[radius])
         assert_same(pairs, all_pairs(grid, positions, RADII[radius], ids))
         assert pairs.i.size > 0
     assert_same(
-        grid.pairs(None, RADII[radius], view=view_of(2000)), all_pairs(grid, positions, RADII[radius], ids, view_of(2000))
+        grid.find_pairs(None, RADII[radius], view=view_of(2000)), all_pairs(grid, positions, RADII[radius], ids, view_of(2000))
     )
 
 
@@ -86,7 +86,7 @@ def cells_of(shape: Shape, positions) -> np.ndarray:
     for axis, low, width, size in reversed(list(zip(shape.axes, shape.low, shape.width, shape.size, strict=True))):
         along = np.where(finite, positions[axis], low).astype(np.float64)
         key = key * size + np.clip(np.floor((along - low) * (1 / width)), 0, size - 1).astype(np.int64)
-    return np.where(finite, key, shape.cells)
+    return np.where(finite, key, shape.cell_count)
 
 
 @pytest.mark.parametrize("threads", [1, 2, 3, 4])
@@ -120,10 +120,14 @@ def test_agents_are_put_in_the_order_of_cells(monkeypatch: pytest.MonkeyPatch, e
                     assert np.array_equal(
                         order.tables["places"][:count, :3].T, [column[rows] for column in columns], equal_nan=True
                     )
-                    assert (order.tables["starts"] is None) == (each.cells > max(1 << 16, 16 * count)) == (order.starts.size == 0)
+                    assert (
+                        (order.tables["starts"] is None)
+                        == (each.cell_count > max(1 << 16, 16 * count))
+                        == (order.starts.size == 0)
+                    )
                     if order.starts.size:
                         assert np.array_equal(
-                            order.starts[: each.cells + 1], np.searchsorted(key[rows], np.arange(each.cells + 1))
+                            order.starts[: each.cell_count + 1], np.searchsorted(key[rows], np.arange(each.cell_count + 1))
                         )
                     else:
                         assert np.array_equal(order.keys, key[rows]) and order.tables["keys"] is order.keys
@@ -144,7 +148,7 @@ def test_a_crowd_of_few_layers_is_a_sheet(layers: int, agents: int, sheet: bool)
     assert not Shape.of([0, 0, 0], [300, 0, 300], 20.0).is_sheet((x, y, z))
     x[1:3], z[1:3] = (-1e6, 1e6), (-1e6, 1e6)
     shape = Shape.of(*box_around((x, y, z)), 20.0)
-    assert not shape.listed(agents) and shape.is_sheet((x, y, z)) == sheet
+    assert not shape.has_cell_table(agents) and shape.is_sheet((x, y, z)) == sheet
 
 
 @pytest.mark.parametrize("count", [1, 3, 16, 2500])
@@ -154,7 +158,7 @@ def test_registers_are_put_in_the_order_of_cells(count: int) -> None:
     expected, ordered = np.zeros((count, 4), np.float32), np.zeros((count, 4), np.float32)
     expected[at] = four.T
     for first in range(0, count, 1000):
-        in_order(at, tuple(four), ordered.reshape(-1), first, min(first + 1000, count))
+        store_registers(at, tuple(four), ordered.reshape(-1), first, min(first + 1000, count))
     assert np.array_equal(ordered, expected)
 
 
@@ -162,7 +166,7 @@ def test_a_cell_table_too_large_to_list_is_searched() -> None:
     positions, ids = crowd(EXTENTS[4])
     grid = CellGrid(*positions, ids, 2e4)
     assert not grid.order.starts.size
-    pairs = grid.pairs(None, 1e5)
+    pairs = grid.find_pairs(None, 1e5)
     assert_same(pairs, all_pairs(grid, positions, 1e5, ids))
     assert pairs.i.size > 1000
 
@@ -174,13 +178,13 @@ def test_others_ask_and_some_rows_of_them() -> None:
     named = dict(zip(("qx", "qy", "qz"), asking, strict=True))
     rows = np.array([5, 800, 800, 3, 77])
     for chosen, m in ((None, 900), (rows, 5)):
-        pairs = grid.pairs(chosen, 30.0, **named, view=view_of(m))
+        pairs = grid.find_pairs(chosen, 30.0, **named, view=view_of(m))
         query = asking if chosen is None else [place[chosen] for place in asking]
         assert_same(pairs, all_pairs(grid, query, 30.0, None, view_of(m)))
         assert pairs.i.size > 0
     empty_grid = CellGrid(*(np.empty(0, np.float32),) * 3, np.empty(0, np.int64), 5.0)
-    assert empty_grid.pairs(None, 5.0, **named).i.size == 0
-    assert grid.pairs(np.empty(0, np.intp), 5.0).i.size == 0
+    assert empty_grid.find_pairs(None, 5.0, **named).i.size == 0
+    assert grid.find_pairs(np.empty(0, np.intp), 5.0).i.size == 0
 
 
 def test_arrays_grow_and_several_threads_come_to_the_same(monkeypatch) -> None:
@@ -191,7 +195,7 @@ def test_arrays_grow_and_several_threads_come_to_the_same(monkeypatch) -> None:
         expected = all_pairs(grid, positions, 12.0, ids, view)
         assert len(expected[0]) > 3 * 8 * 2000 / (1 if view is None else 2)
         for threads in (1, 3):
-            assert_same(grid.pairs(None, 12.0, threads=threads, view=view), expected)
+            assert_same(grid.find_pairs(None, 12.0, threads=threads, view=view), expected)
 
 
 def test_of_more_than_the_cap_the_nearest_stay() -> None:
@@ -204,10 +208,10 @@ def test_of_more_than_the_cap_the_nearest_stay() -> None:
     for view in (None, view_of(2000)):
         expected = all_pairs(grid, positions, 8.0, ids, view)
         for threads in (1, 2):
-            assert_same(grid.pairs(None, 8.0, view=view, threads=threads), expected)
-    assert_same(grid.pairs(None, np.inf), all_pairs(grid, positions, np.inf, ids))
+            assert_same(grid.find_pairs(None, 8.0, view=view, threads=threads), expected)
+    assert_same(grid.find_pairs(None, np.inf), all_pairs(grid, positions, np.inf, ids))
     asking = dict(zip(("qx", "qy", "qz"), (place[:50] for place in positions), strict=True))
-    assert_same(grid.pairs(None, 20.0, **asking), all_pairs(grid, [place[:50] for place in positions], 20.0))
+    assert_same(grid.find_pairs(None, 20.0, **asking), all_pairs(grid, [place[:50] for place in positions], 20.0))
 
 
 def test_more_than_the_limit_within_a_radius_are_refused() -> None:
@@ -218,9 +222,9 @@ def test_more_than_the_limit_within_a_radius_are_refused() -> None:
     )
     assert most > limits.NEIGHBOURS
     for threads in (1, 2):
-        with pytest.raises(TooManyWithin):
-            grid.pairs(None, 8.0, limit=most - 1, threads=threads)
-        assert grid.pairs(None, 8.0, limit=most, threads=threads).i.size > 0
+        with pytest.raises(TooManyNeighbours):
+            grid.find_pairs(None, 8.0, limit=most - 1, threads=threads)
+        assert grid.find_pairs(None, 8.0, limit=most, threads=threads).i.size > 0
 
 
 def near_items(visited: dict, positions, radius) -> list[tuple]:
@@ -252,7 +256,7 @@ def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, 
         with np.errstate(all="ignore"):
             expected = near_items(visited, positions, radius)
             paths = [item_pairs.each(items, tuple(positions), reach)]
-            paths += [item_pairs.along(items, tuple(positions), reach)] if many else []
+            paths += [item_pairs.measure_near(items, tuple(positions), reach)] if many else []
             paths.append(item_pairs.items_within(items, tuple(positions), radius))
         for columns in paths:
             assert [column.dtype.itemsize for column in columns] == [8, 8, 4, 4, 4, 4]

@@ -68,13 +68,13 @@ def test_overlaps_of_very_different_sizes_are_exact(spread: float) -> None:
 
 
 def test_small_ones_among_large_ones_are_not_measured_pair_by_pair(monkeypatch: pytest.MonkeyPatch) -> None:
-    measured, inside = [0], overlaps._inside
+    measured, inside = [0], overlaps._overlap_share
 
     def counted(distance: np.ndarray, *radii: np.ndarray) -> np.ndarray:
         measured[0] += distance.size
         return inside(distance, *radii)
 
-    monkeypatch.setattr(overlaps, "_inside", counted)
+    monkeypatch.setattr(overlaps, "_overlap_share", counted)
     n = 4000
     place = (np.random.default_rng(6).random((3, 2 * n)) * 200).astype(np.float32)
     radius = np.repeat([0.1, 200.0], n).astype(np.float32)

@@ -35,7 +35,7 @@ def as_ids(pairs: Pairs, ids: np.ndarray, asker_ids: np.ndarray) -> list[tuple]:
 def test_same_pairs_as_brute_force(extent, cell):
     x, y, z = crowd(900, extent)
     ids = np.arange(900, dtype=np.int64)
-    pairs = CellGrid(x, y, z, ids, cell).pairs(None, 21.5)
+    pairs = CellGrid(x, y, z, ids, cell).find_pairs(None, 21.5)
     expected = by_brute_force(x, y, z, ids, x, y, z, ids, 21.5)
     assert len(expected) > 100
     assert set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)) == expected
@@ -48,7 +48,7 @@ def test_same_pairs_as_brute_force(extent, cell):
 
 def test_same_pairs_as_the_tree_of_scipy():
     x, y, z = crowd(15_000, (480, 30, 480))
-    pairs = CellGrid(x, y, z, np.arange(15_000, dtype=np.int64), 7.0).pairs(None, 6.3)
+    pairs = CellGrid(x, y, z, np.arange(15_000, dtype=np.int64), 7.0).find_pairs(None, 6.3)
     tree = cKDTree(np.stack([x, y, z], axis=1).astype(np.float64))
     mine = set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     theirs = tree.query_pairs(6.3, output_type="ndarray")
@@ -64,10 +64,10 @@ def test_own_radius_of_each_query_and_other_species():
     radius = np.random.default_rng(3).uniform(0, 60, 300).astype(np.float32)
     radius[:3] = (0, np.nan, -1)
     grid = CellGrid(x, y, z, np.arange(700, dtype=np.int64), 10.0)
-    pairs = grid.pairs(None, radius, qx=qx, qy=qy, qz=qz)
+    pairs = grid.find_pairs(None, radius, qx=qx, qy=qy, qz=qz)
     assert set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True)) == by_brute_force(x, y, z, None, qx, qy, qz, None, radius)
     rows = np.array([200, 7, 7, 40], np.int32)
-    row_pairs = grid.pairs(rows, radius[rows], qx=qx, qy=qy, qz=qz)
+    row_pairs = grid.find_pairs(rows, radius[rows], qx=qx, qy=qy, qz=qz)
     for k, row in enumerate(rows):
         assert np.array_equal(row_pairs.j[row_pairs.i == k], pairs.j[pairs.i == row])
 
@@ -76,21 +76,21 @@ def test_the_order_of_rows_is_not_observable(monkeypatch):
     n = 2500
     x, y, z = crowd(n, (300, 20, 300))
     ids = np.arange(n, dtype=np.int64) * 3
-    expected = as_ids(CellGrid(x, y, z, ids, 15.0).pairs(None, 14.0), ids, ids)
+    expected = as_ids(CellGrid(x, y, z, ids, 15.0).find_pairs(None, 14.0), ids, ids)
     order = np.random.default_rng(5).permutation(n)
     monkeypatch.setattr(parallel, "PART", 37)
     grid = CellGrid(x[order], y[order], z[order], ids[order], 15.0)
     back = np.argsort(order).astype(np.int32)
     for threads in (1, 3):
-        assert as_ids(grid.pairs(back, 14.0, threads=threads), ids[order], ids) == expected
+        assert as_ids(grid.find_pairs(back, 14.0, threads=threads), ids[order], ids) == expected
 
 
 def test_an_agent_far_away_changes_nothing_for_others():
     x, y, z = crowd(500, (100, 5, 100))
     ids = np.arange(501, dtype=np.int64)
-    expected = sorted(as_ids(CellGrid(x, y, z, ids[:500], 9.0).pairs(None, 9.0), ids, ids))
+    expected = sorted(as_ids(CellGrid(x, y, z, ids[:500], 9.0).find_pairs(None, 9.0), ids, ids))
     far = [np.append(a, np.float32(v)) for a, v in zip((x, y, z), (-70_000.0, 3e4, 1e5), strict=True)]
-    assert sorted(as_ids(CellGrid(*far, ids, 9.0).pairs(None, 9.0), ids, ids)) == expected
+    assert sorted(as_ids(CellGrid(*far, ids, 9.0).find_pairs(None, 9.0), ids, ids)) == expected
 
 
 def test_a_crowd_on_one_spot_keeps_the_lowest_ids_and_little_memory():
@@ -100,7 +100,7 @@ def test_a_crowd_on_one_spot_keeps_the_lowest_ids_and_little_memory():
     x = np.full(n, 12.5, np.float32)
     ids = np.random.default_rng(0).permutation(n).astype(np.int64)
     tracemalloc.start()
-    pairs = CellGrid(x, x, x, ids, 5.0).pairs(None, 5.0)
+    pairs = CellGrid(x, x, x, ids, 5.0).find_pairs(None, 5.0)
     peak = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert peak < 120e6  # all 16 million pairs at once would take more than three times this
@@ -111,10 +111,10 @@ def test_a_crowd_on_one_spot_keeps_the_lowest_ids_and_little_memory():
 
 def test_empty_crowds_and_places_that_are_not_numbers_do_no_harm():
     none = np.empty(0, np.float32)
-    assert CellGrid(none, none, none, np.empty(0, np.int64), 5.0).pairs(None, 5.0).i.size == 0
+    assert CellGrid(none, none, none, np.empty(0, np.int64), 5.0).find_pairs(None, 5.0).i.size == 0
     x = np.array([0, 1, np.nan, np.inf, 1e30, 2], np.float32)
     zero = np.zeros(6, np.float32)
-    pairs = CellGrid(x, zero, zero, np.arange(6, dtype=np.int64), 5.0).pairs(None, np.float32(np.inf))
+    pairs = CellGrid(x, zero, zero, np.arange(6, dtype=np.int64), 5.0).find_pairs(None, np.float32(np.inf))
     assert {(0, 1), (1, 0), (0, 5), (5, 4)} <= set(zip(pairs.i.tolist(), pairs.j.tolist(), strict=True))
     assert not np.isin([2, 3], pairs.j).any() and not np.isin([2, 3], pairs.i).any()
 
@@ -131,7 +131,7 @@ def test_the_field_of_view_leaves_who_is_in_it() -> None:
         np.full(n, 0.5, np.float32),
     )
     grid = CellGrid(x, y, z, ids, 12.0)
-    every, visible = grid.pairs(None, 12.0), grid.pairs(None, 12.0, view=view)
+    every, visible = grid.find_pairs(None, 12.0), grid.find_pairs(None, 12.0, view=view)
     turned = np.abs(np.arctan2(every.dz, every.dx) - np.float32(angle[every.i]))
     inside = np.cos(turned) * np.hypot(every.dx, every.dz) >= 0.5 * every.distance  # a sixth of the way round to either side
     assert 0.2 < inside.mean() < 0.5
@@ -144,6 +144,6 @@ def test_the_cap_comes_before_the_field_of_view() -> None:
     n = 1000
     x = np.linspace(-20, 20, n).astype(np.float32)
     zero, one = np.zeros(n, np.float32), np.ones(n, np.float32)
-    pairs = CellGrid(x, zero, zero, np.arange(n, dtype=np.int64), 50.0).pairs(None, 50.0, view=(one, zero, zero, zero))
+    pairs = CellGrid(x, zero, zero, np.arange(n, dtype=np.int64), 50.0).find_pairs(None, 50.0, view=(one, zero, zero, zero))
     assert np.bincount(pairs.i)[n // 2] == limits.NEIGHBOURS // 2  # the nearest, half of which are in front
     assert np.bincount(pairs.i)[0] == limits.NEIGHBOURS

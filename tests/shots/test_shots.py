@@ -11,16 +11,16 @@ import commands
 import pytest
 from executed import InThisProcess
 
-from antdsl.executors import Lost, Refused, Task, Worker
-from antdsl.executors.parcel import FileBundle, VisibleFile, inside, pack
+from antdsl.executors import Task, TaskRefused, Worker, WorkersLost
+from antdsl.executors.parcel import FileBundle, VisibleFile, pack, unpacked_path
 from antdsl.outputs.cache.cache_reader import open_cache
-from antdsl.outputs.drawing import Drawer, Drawn, Stills
+from antdsl.outputs.drawing import Drawer, DrawRequest, Stills
 from antdsl.pipeline import Choices, open_scene
-from antdsl.scene.paths import sought
+from antdsl.scene.paths import record_sought
 from antdsl.scene.values import FrameRange
 from antdsl.shots import exports, placing, stills
-from antdsl.shots.caches import task, without_others
-from antdsl.shots.placing import Destination, destination, fetched
+from antdsl.shots.caches import cache_task, remove_other_frames
+from antdsl.shots.placing import Destination, mark_folder, run_and_fetch
 
 OPTIONS = {"backend": "numpy", "chunk": 16_384, "shuffle_rows": None, "on_fault": "stop", "resume": False, "force": False}
 
@@ -33,7 +33,7 @@ class Afar(InThisProcess):
         self.lost, self.made = lost, folder / "made"
         bundle.unpack(folder / "files")
         self.made.mkdir()
-        self._worker = Worker(1, local_path=lambda path: inside(folder / "files", path), scratch=self.made, name="afar")
+        self._worker = Worker(1, local_path=lambda path: unpacked_path(folder / "files", path), scratch=self.made, name="afar")
 
     def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
         document = {**task.document, "token": "nobody sees this"}
@@ -42,7 +42,7 @@ class Afar(InThisProcess):
     def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
         if self.lost:
             self.lost -= 1
-            raise Lost("it is gone")
+            raise WorkersLost("it is gone")
         yield (self.made / file).read_bytes()
 
     def forget(self, worker: str, folder: str) -> None:
@@ -66,17 +66,17 @@ def test_a_shot_on_another_machine_is_the_same_cache_and_nothing_of_an_earlier_o
     )
     assert process.returncode == 0, process.stderr
     choices = Choices(frames=FrameRange(1, 3))
-    with sought() as read:
+    with record_sought() as read:
         shot, report = open_scene(scene, choices)
     assert shot is not None and report.ok
     afar = Afar(pack(path for path in read if path.is_file()), walkers / "afar", lost=1)
     remote_folder = walkers / "there"
     (remote_folder / "walk" / "frames").mkdir(parents=True)
     (remote_folder / "walk" / "frames" / "frame.0009.npz").write_bytes(b"of an earlier run")
-    with destination(remote_folder) as to:
-        (answered,) = fetched([task(shot, scene, choices, OPTIONS, to, "walk")], afar, lambda task: remote_folder)
+    with mark_folder(remote_folder) as to:
+        (answered,) = run_and_fetch([cache_task(shot, scene, choices, OPTIONS, to, "walk")], afar, lambda task: remote_folder)
     assert answered.answer is not None and len(afar.tasks) == 2, "done again, since its files could not be had"
-    without_others(remote_folder / "walk", answered.answer["files"], "walk")
+    remove_other_frames(remote_folder / "walk", answered.answer["files"], "walk")
     assert files(remote_folder) == {name: data for name, data in files(walkers / "here").items()}
 
 
@@ -84,32 +84,32 @@ def test_files_that_have_changed_are_reported_and_nothing_is_mixed(walkers: Path
     scene = walkers / "walkers" / "scene.yaml"
     shot, _ = open_scene(scene)
     assert shot is not None
-    with destination(walkers) as to:
-        shot_task = task(shot, scene, Choices(), OPTIONS, to, "walk")
+    with mark_folder(walkers) as to:
+        shot_task = cache_task(shot, scene, Choices(), OPTIONS, to, "walk")
         program = walkers / "walkers" / "walker.ant"
         program.write_text(program.read_text(encoding="utf-8") + "\n# another\n", encoding="utf-8")
-        (answered,) = fetched([shot_task], InThisProcess(), lambda task: walkers)
+        (answered,) = run_and_fetch([shot_task], InThisProcess(), lambda task: walkers)
     assert answered.answer is None and "have changed" in answered.problem and not (walkers / "walk").exists()
 
 
 @pytest.mark.parametrize("name", ["../out.png", "/tmp/out.png"])
 def test_a_worker_cannot_put_a_file_anywhere_else(tmp_path: Path, name: str) -> None:
     answer = {"files": [[name, 3, "0"]], "worker": "w", "made": "m"}
-    with pytest.raises(Refused):
+    with pytest.raises(TaskRefused):
         placing._fetch(answer, None, tmp_path)
 
 
 def test_stills_of_another_machine_are_those_of_this_one(walkers: Path) -> None:
     process = commands.run("run", "walkers/scene.yaml", "--frames", "1..6", "--out", "walk", "--quiet", cwd=walkers)
     assert process.returncode == 0, process.stderr
-    cache, still_options = walkers / "walk", Drawn(160, 90, "scene", ("trail",))
+    cache, still_options = walkers / "walk", DrawRequest(160, 90, "scene", ("trail",))
     afar = Afar(pack(path for path in cache.rglob("*") if path.is_file()), walkers / "afar")
     remote_folder = walkers / "there"
     remote_folder.mkdir()
-    with destination(remote_folder) as to:
-        jobs = list(stills.tasks(cache, still_options, range(1, 7), range(1, 7), to))
+    with mark_folder(remote_folder) as to:
+        jobs = list(stills.still_tasks(cache, still_options, range(1, 7), range(1, 7), to))
         assert [job.document["frames"] for job in jobs] == [[1, 2, 3, 4], [5, 6]]
-        assert all(answered.answer is not None for answered in fetched(jobs, afar, lambda task: remote_folder))
+        assert all(answered.answer is not None for answered in run_and_fetch(jobs, afar, lambda task: remote_folder))
     drawer = Drawer(still_options.gallery(open_cache(cache)), still_options, range(1, 7), 1)
     local_folder = walkers / "here"
     local_folder.mkdir()
@@ -129,9 +129,9 @@ def test_exports_of_another_machine_are_those_of_this_one(walkers: Path) -> None
     cache, remote_folder = walkers / "walk", walkers / "there"
     afar = Afar(pack(path for path in cache.rglob("*") if path.is_file()), walkers / "afar")
     remote_folder.mkdir()
-    with destination(remote_folder) as to:
-        jobs = exports.tasks(cache, "w.geo", "points", frozenset(range(3, 10)), range(1, 11), to)
-        assert all(answered.answer is not None for answered in fetched(jobs, afar, lambda task: remote_folder))
+    with mark_folder(remote_folder) as to:
+        jobs = exports.export_tasks(cache, "w.geo", "points", frozenset(range(3, 10)), range(1, 11), to)
+        assert all(answered.answer is not None for answered in run_and_fetch(jobs, afar, lambda task: remote_folder))
     assert files(remote_folder) == files(walkers / "here") and len(files(remote_folder)) == 10
 
 
@@ -140,13 +140,13 @@ def test_a_bundle_is_known_by_its_hash_and_stays_in_its_folder(tmp_path: Path) -
     (tmp_path / "a" / "x.txt").write_bytes(b"one")
     bundle = pack([tmp_path / "a" / "x.txt", tmp_path / "a" / ".." / "a" / "x.txt"])
     bundle.unpack(tmp_path / "to")
-    assert inside(tmp_path / "to", str(tmp_path / "a" / "x.txt")).read_bytes() == b"one"
-    with pytest.raises(Refused, match="did not arrive"):
+    assert unpacked_path(tmp_path / "to", str(tmp_path / "a" / "x.txt")).read_bytes() == b"one"
+    with pytest.raises(TaskRefused, match="did not arrive"):
         FileBundle(bundle.data[:-1] + b"x", bundle.digest).unpack(tmp_path / "other")
-    from antdsl.executors.parcel import _packed
+    from antdsl.executors.parcel import _pack_files
 
-    with pytest.raises(Refused, match="outside"):
-        _packed({"../x": b"1"}).unpack(tmp_path / "third")
+    with pytest.raises(TaskRefused, match="outside"):
+        _pack_files({"../x": b"1"}).unpack(tmp_path / "third")
     visible_file = VisibleFile.of(tmp_path / "a" / "x.txt")
     assert visible_file.is_visible() and os.path.isabs(visible_file.path)
     (tmp_path / "a" / "x.txt").write_bytes(b"two")
@@ -156,7 +156,7 @@ def test_a_bundle_is_known_by_its_hash_and_stays_in_its_folder(tmp_path: Path) -
 def test_a_destination_is_known_by_its_mark(tmp_path: Path) -> None:
     worker = Worker(1, scratch=tmp_path / "scratch")
     (tmp_path / "scratch").mkdir()
-    with destination(tmp_path) as to:
+    with mark_folder(tmp_path) as to:
         assert to.place(worker, "k") == tmp_path and to.describe_files(worker, tmp_path, "k")["files"] == []
     assert (
         to.place(worker, "k") == tmp_path / "scratch" / "k" and Destination(str(tmp_path), "").place(Worker(1), "k") == tmp_path

@@ -11,7 +11,7 @@ import pytest
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices, check_path, open_scene
 from antdsl.runtime import Options, bind, state_hash, step
-from antdsl.specs import Case, Run, Work, cases, run_cases
+from antdsl.specs import Case, Run, Work, collect_cases, run_cases
 from antdsl.specs.coverage import Coverage
 from antdsl.specs.judge import Judge
 
@@ -61,7 +61,7 @@ def folder(tmp_path: Path) -> Path:
 
 def collect_runs(folder: Path, specs: str, program: str = WALKER, **choices: object) -> tuple[list[Run], Report]:
     (folder / "walker.ant").write_text(program + specs)
-    return cases([folder / "walker.ant"], **choices)  # type: ignore[arg-type]
+    return collect_cases([folder / "walker.ant"], **choices)  # type: ignore[arg-type]
 
 
 def judged(folder: Path, specs: str, program: str = WALKER, backend: str = "numpy", **options: object) -> list[Case]:
@@ -384,7 +384,7 @@ def test_without_a_scene_the_one_that_is_named_or_the_one_beside(folder: Path) -
     (folder / "scene.yaml").rename(folder / "shot.yaml")
     runs, report = collect_runs(folder, line)
     assert not runs and [d.code for d in report.errors] == ["no-scene"]
-    runs, report = cases([folder / "shot.yaml"])
+    runs, report = collect_cases([folder / "shot.yaml"])
     assert report.ok and [c.scene.name for run in runs for c in run.cases] == ["shot.yaml"]
 
 
@@ -435,7 +435,7 @@ def test_check_finds_scenes_of_specs_that_are_not_there(tmp_path: Path) -> None:
             ("bad-path", '"../scene.yaml"'),
         ]
         assert all(e.help for e in errors) and errors[0].fix is not None and errors[0].fix.text == '"scene.yaml"'
-    runs, report = cases([program], named="a")
+    runs, report = collect_cases([program], named="a")
     assert report.ok and len(runs) == 1
 
 
@@ -446,7 +446,7 @@ def test_a_missing_scene_is_reported_once_with_all_places(tmp_path: Path) -> Non
     text = program.read_text() + SPEC.format("a", "none.yaml", "seeds 1") + SPEC.format("b", "none.yaml", "seeds 1")
     text += SPEC.format("c", "scene.yaml", 'against "none.yaml"') + SPEC.format("d", "other.yaml", "seeds 1")
     program.write_text(text)
-    for report in (check_path(program)[1], check_path(tmp_path / "scene.yaml")[1], cases([program])[1]):
+    for report in (check_path(program)[1], check_path(tmp_path / "scene.yaml")[1], collect_cases([program])[1]):
         first, other = report.errors
         assert [first.span and first.span.text, other.span and other.span.text] == ['"none.yaml"', '"other.yaml"']
         assert [label.text for label in first.labels] == ["and here", "and here"] and not other.labels

@@ -11,7 +11,7 @@ from test_specs import BLOCK, FLIES, GROUND, MORTAL, OPTION_SETS, SCENE, WALKER,
 
 from antdsl.plan.lowering.spec_blocks import JudgementPlan
 from antdsl.source import Source, Span
-from antdsl.specs.cases import settle
+from antdsl.specs.cases import settle_verdicts
 from antdsl.specs.lines import Line, Observation
 
 # In the scene of `WALKER`, `tick` is 0 at frame 1, grows by 0.2 a frame and reaches 2 at frame 11; ten frames a second.
@@ -105,10 +105,10 @@ def test_a_share_of_the_seeds_is_enough(folder: Path) -> None:  # noqa: F811
     line = "seeds 1 .. 8; for 0.1 s; always: max(walker.luck) < 0.85"
     plain = judged(folder, spec(line), program)
     passed = sum(case.outcome == "passed" for case in plain)
-    assert 0 < passed < 8 and not settle(plain)
+    assert 0 < passed < 8 and not settle_verdicts(plain)
     for share, holds in ((passed / 8, True), ((passed + 0.5) / 8, False)):
         cases = judged(folder, spec(f"{line}; pass {share * 100} %"), program)
-        (verdict,) = settle(cases)
+        (verdict,) = settle_verdicts(cases)
         assert (verdict.passed, verdict.cases, verdict.holds) == (passed, 8, holds)
         outcomes = {case.outcome for case in cases}
         assert outcomes == ({"passed", "allowed"} if holds else {"passed", "failed"})
@@ -189,7 +189,7 @@ def test_how_deep_a_place_is_in_a_closed_mesh() -> None:
     faces = np.array([face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))], np.int32)
     points = np.array([[7.0, 0.3, 0.1], [0.2, -7.5, 0.4], [0.0, 0.1, 0.2], [8.5, 0.0, 0.0], [0.0, -30.0, 0.0], [0.0, 7.9, 20.0]])
     for shift in (0.0, 5000.0):
-        depths = RayScene(corners + shift, faces).depth(points + shift)
+        depths = RayScene(corners + shift, faces).depth_inside(points + shift)
         assert np.allclose(depths, [1.0, 0.5, 7.8, 0.0, 0.0, 0.0], atol=1e-3), depths
 
 

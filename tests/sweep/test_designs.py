@@ -10,28 +10,28 @@ import numpy as np
 import pytest
 
 from antdsl import limits
-from antdsl.sweep.designs import DESIGNS, Chosen, choose
-from antdsl.sweep.factors import Factor, ends, factors
+from antdsl.sweep.designs import DESIGNS, ChosenPoints, choose_design
+from antdsl.sweep.factors import Factor, end_points, parse_factors
 from antdsl.sweep.jobs import Job
-from antdsl.sweep.sensitivity import available, effects
-from antdsl.sweep.stopping import LEVEL, Chooser, Width, interval, least_runs, looks, rank
+from antdsl.sweep.sensitivity import find_effects, is_available
+from antdsl.sweep.stopping import LEVEL, JobChooser, WidthGoal, find_interval, interval_rank, least_runs, plan_looks
 
 SMELL, PACE = Factor("ant.smell", (), 30.0, 90.0, "mm"), Factor("ant.pace", (), 0.0, 1.0)
 
 
 def read(**vary: str) -> tuple[list[Factor], list[tuple[str, str]]]:
-    factor_list, report = factors({f"ant.{name}": text for name, text in vary.items()})
+    factor_list, report = parse_factors({f"ant.{name}": text for name, text in vary.items()})
     return factor_list, [(d.message, d.help or "") for d in report.errors]
 
 
-def chosen(word: str, *of: Factor, points: int | None = None, seed: int = 1) -> Chosen:
-    design, report = choose(word, of, points, seed)
+def chosen(word: str, *of: Factor, points: int | None = None, seed: int = 1) -> ChosenPoints:
+    design, report = choose_design(word, of, points, seed)
     assert design is not None, report.errors
     return design
 
 
 def refused(word: str, *of: Factor, points: int | None = None) -> str:
-    design, report = choose(word, of, points, 1)
+    design, report = choose_design(word, of, points, 1)
     assert design is None
     return " ".join(f"{d.message}: {d.help}" for d in report.errors)
 
@@ -106,7 +106,7 @@ def test_small_and_large_numbers_are_written_without_powers_of_ten() -> None:
 
 
 def test_every_end_is_named_once() -> None:
-    assert ends([SMELL, Factor("x.q", ("1", "2", "3"))]) == [
+    assert end_points([SMELL, Factor("x.q", ("1", "2", "3"))]) == [
         {"ant.smell": "30mm", "x.q": "1"},
         {"ant.smell": "90mm", "x.q": "2"},
         {"ant.smell": "90mm", "x.q": "3"},
@@ -126,7 +126,7 @@ def test_options_that_do_not_fit_together_are_reported_with_a_correction() -> No
 
 def test_without_salib_its_designs_name_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("antdsl.sweep.sensitivity.find_spec", lambda name: None)
-    assert not available()
+    assert not is_available()
     for word in ("saltelli", "morris"):
         assert "pip install 'antdsl[sensitivity]'" in refused(word, SMELL, points=8)
 
@@ -142,7 +142,7 @@ def analyse(word: str, points: int, function, of: int = 3):  # type: ignore[no-u
     labels = [f"{k}" for k in range(len(chosen_design.points))]
     medians = {(label, "y"): float(value) for label, value in zip(labels, function(chosen_design.shares), strict=True)}
     names = [factor.name for factor in chosen_design.factors]
-    return effects(chosen_design.design.analysis, names, chosen_design.shares, {"scene": labels}, medians, ["y"])
+    return find_effects(chosen_design.design.analysis, names, chosen_design.shares, {"scene": labels}, medians, ["y"])
 
 
 def test_sobol_indices_are_the_exact_ones_of_a_known_function() -> None:
@@ -174,10 +174,10 @@ def test_what_a_measure_without_numbers_depends_on_is_not_made_up() -> None:
 
 def test_the_interval_is_the_narrowest_of_its_kind_that_holds_what_it_promises() -> None:
     for count in range(1, 60):
-        place = rank(count)
+        place = interval_rank(count)
         missed = [Fraction(2 * sum(math.comb(count, k) for k in range(least)), 2**count) for least in range(place + 2)]
         assert (place == 0 or missed[place] <= 1 - LEVEL) and missed[place + 1] > 1 - LEVEL
-    assert [rank(n) for n in (5, 6, 9, 12, 20, 100)] == [0, 1, 2, 3, 6, 40], "as tables of the sign test have it"
+    assert [interval_rank(n) for n in (5, 6, 9, 12, 20, 100)] == [0, 1, 2, 3, 6, 40], "as tables of the sign test have it"
 
 
 def test_the_interval_is_that_of_scipy() -> None:
@@ -187,18 +187,18 @@ def test_the_interval_is_that_of_scipy() -> None:
     for count in (6, 7, 25, 80):
         values = rng.normal(size=count)
         theirs = quantile_test(values, q=0, p=0.5).confidence_interval(confidence_level=0.95)
-        assert interval(list(values)) == pytest.approx((theirs.low, theirs.high))
-    assert interval([1.0] * 5) is None and interval([1.0, 2, 3, 4, 5, math.inf]) == (1, math.inf)
+        assert find_interval(list(values)) == pytest.approx((theirs.low, theirs.high))
+    assert find_interval([1.0] * 5) is None and find_interval([1.0, 2, 3, 4, 5, math.inf]) == (1, math.inf)
 
 
 def test_looking_again_and_again_misses_the_median_no_more_often_than_promised() -> None:
-    schedule = looks(60)
+    schedule = plan_looks(60)
     assert schedule is not None and schedule.run_counts[-1] == 60 and schedule.doubt * len(schedule.run_counts) == 1 - LEVEL
-    assert all(rank(n, schedule.doubt) for n in schedule.run_counts) and least_runs() == 6 and looks(5) is None
+    assert all(interval_rank(n, schedule.doubt) for n in schedule.run_counts) and least_runs() == 6 and plan_looks(5) is None
     rng, missed, sweeps = np.random.default_rng(7), 0, 2000
     for values in rng.standard_cauchy((sweeps, 60)):
         for count in schedule.run_counts:
-            low, high = interval(list(values[:count]), schedule.doubt) or (-math.inf, math.inf)
+            low, high = find_interval(list(values[:count]), schedule.doubt) or (-math.inf, math.inf)
             if high - low < 1.0 or count == 60:
                 missed += not low <= 0 <= high
                 break
@@ -213,7 +213,7 @@ def test_runs_stop_once_the_median_is_known_in_whatever_order_they_end() -> None
     worth = {"a": lambda seed: 10 + seed % 2 / 10, "b": lambda seed: seed * 7919 % 100}
     ends = []
     for at_once in (1, 3, 7):
-        chooser, running = Chooser(make_jobs("ab", 40), [Width("y", 5.0)]), []
+        chooser, running = JobChooser(make_jobs("ab", 40), [WidthGoal("y", 5.0)]), []
         job_queue, ran = chooser.needed_jobs(), 0
         while True:
             while len(running) < at_once and (job := next(job_queue, None)) is not None:
@@ -222,9 +222,9 @@ def test_runs_stop_once_the_median_is_known_in_whatever_order_they_end() -> None
             if not running:
                 break
             job = running.pop(ran * 5 % len(running))
-            chooser.heard(job, {"y.z": worth[job.label](job.seed)})
-        assert ran < 80 and len([job for job in chooser.counted if job.label == "b"]) == 40
-        ends.append(([job.key for job in chooser.counted], chooser.known()))
+            chooser.record_result(job, {"y.z": worth[job.label](job.seed)})
+        assert ran < 80 and len([job for job in chooser.counted_jobs if job.label == "b"]) == 40
+        ends.append(([job.key for job in chooser.counted_jobs], chooser.known_medians()))
     assert ends[0] == ends[1] == ends[2]
     known = {known.label: known for known in ends[0][1]}
     assert known["a"].met and known["a"].runs < 15 and known["a"].high - known["a"].low <= 5
@@ -232,21 +232,23 @@ def test_runs_stop_once_the_median_is_known_in_whatever_order_they_end() -> None
 
 
 def test_widths_may_be_shares_and_what_never_happens_is_known_too() -> None:
-    assert Width("y", 0.1, share=True).is_reached((95, 104), 100) and not Width("y", 0.1, share=True).is_reached((90, 104), 100)
-    chooser = Chooser(make_jobs("a", 40), [Width("y", 1.0)])
+    assert WidthGoal("y", 0.1, share=True).is_reached((95, 104), 100) and not WidthGoal("y", 0.1, share=True).is_reached(
+        (90, 104), 100
+    )
+    chooser = JobChooser(make_jobs("a", 40), [WidthGoal("y", 1.0)])
     for job in chooser.needed_jobs():
-        chooser.heard(job, None if job.seed == 2 else {"y": None})
-    (known,) = chooser.known()
-    assert known.met and known.median == math.inf and known.runs == len(chooser.counted) < 20
-    assert not any(job.seed == 2 for job in chooser.counted), "a run that failed counts nowhere"
+        chooser.record_result(job, None if job.seed == 2 else {"y": None})
+    (known,) = chooser.known_medians()
+    assert known.met and known.median == math.inf and known.runs == len(chooser.counted_jobs) < 20
+    assert not any(job.seed == 2 for job in chooser.counted_jobs), "a run that failed counts nowhere"
 
 
 def test_without_widths_all_runs_are_requested_and_a_measure_that_no_run_reports_is_noticed() -> None:
-    chooser = Chooser(make_jobs("ab", 2))
+    chooser = JobChooser(make_jobs("ab", 2))
     for job in chooser.needed_jobs():
-        chooser.heard(job, {"y": 1})
-    assert chooser.counted == list(chooser.jobs) and not chooser.unheard()
-    chooser = Chooser(make_jobs("a", 9), [Width("nothing", 1.0), Width("y", 1.0)])
-    assert chooser.unheard() == []
-    chooser.heard(chooser.jobs[0], {"y": 1})
-    assert chooser.unheard() == ["nothing"]
+        chooser.record_result(job, {"y": 1})
+    assert chooser.counted_jobs == list(chooser.jobs) and not chooser.missing_measures()
+    chooser = JobChooser(make_jobs("a", 9), [WidthGoal("nothing", 1.0), WidthGoal("y", 1.0)])
+    assert chooser.missing_measures() == []
+    chooser.record_result(chooser.jobs[0], {"y": 1})
+    assert chooser.missing_measures() == ["nothing"]

@@ -69,10 +69,10 @@ def test_no_settings_of_a_project_are_read_and_no_program_is_started(tmp_path: P
 
 
 def test_settings_of_a_host_change_nothing_and_stay(tmp_path: Path) -> None:
-    from antdsl.sweep.figures import figure
+    from antdsl.sweep.figures import open_figure
 
     def draw(name: str) -> bytes:
-        with figure(2.0, 1.0, tmp_path / name) as drawn:
+        with open_figure(2.0, 1.0, tmp_path / name) as drawn:
             drawn.subplots(1, 1).plot([1, 2], [3, 1])
         return (tmp_path / name).read_bytes()
 
@@ -85,8 +85,8 @@ def test_settings_of_a_host_change_nothing_and_stay(tmp_path: Path) -> None:
 
 
 def test_where_nothing_can_be_written_is_an_error_and_draws_nothing(tmp_path: Path) -> None:
-    from antdsl.sweep.figures import figure
+    from antdsl.sweep.figures import open_figure
 
-    with pytest.raises(OSError), figure(2.0, 1.0, tmp_path / "missing" / "plot.png"):
+    with pytest.raises(OSError), open_figure(2.0, 1.0, tmp_path / "missing" / "plot.png"):
         pass
     assert not list(tmp_path.iterdir())

@@ -18,12 +18,12 @@ import pytest
 from antdsl.cli import _run as run_in_process
 from antdsl.executors import Processes
 from antdsl.pipeline import open_scene
-from antdsl.runtime import Built
-from antdsl.sweep import Job, RunStore, Variation, jobs, rows, run_all, variations
-from antdsl.sweep.designs import choose
+from antdsl.runtime import BindingCache
+from antdsl.sweep import Job, RunStore, Variation, jobs, make_variations, rows, run_all
+from antdsl.sweep.designs import choose_design
 from antdsl.sweep.factors import Factor
-from antdsl.sweep.finished_runs import OtherFiles
-from antdsl.sweep.jobs import beginning, key_of
+from antdsl.sweep.finished_runs import NoSweepFolder
+from antdsl.sweep.jobs import job_key, start_hashes
 from antdsl.sweep.measuring import measure
 from antdsl.sweep.table import NOT_COMPARED, as_csv, choose_measures, quantile, text
 
@@ -60,13 +60,13 @@ def folder(tmp_path: Path) -> Path:
 
 def make_jobs(folder: Path, seeds: range = range(1, 3), until: tuple[str, ...] = (), **vary: tuple[str, ...]) -> list[Job]:
     points = grid(**vary)
-    job_list, report = jobs(variations([folder / "scene.yaml"], points), seeds, frames=None, until=until, grants={})
+    job_list, report = jobs(make_variations([folder / "scene.yaml"], points), seeds, frames=None, until=until, grants={})
     assert report.ok, report.errors
     return job_list
 
 
 def grid(**vary: tuple[str, ...]) -> list[Mapping[str, str]]:
-    chosen, _ = choose("grid", [Factor(f"walker.{name}", values) for name, values in vary.items()], None, 1)
+    chosen, _ = choose_design("grid", [Factor(f"walker.{name}", values) for name, values in vary.items()], None, 1)
     assert chosen is not None
     return chosen.unique_points
 
@@ -77,9 +77,9 @@ def same(measures: dict[str, object] | None) -> dict[str, object]:
 
 
 def test_every_combination_with_every_seed_seed_by_seed() -> None:
-    chosen = variations([Path("a.yaml"), Path("b.yaml")], grid(p=("1", "2"), q=("3",)))
+    chosen = make_variations([Path("a.yaml"), Path("b.yaml")], grid(p=("1", "2"), q=("3",)))
     assert [v.label for v in chosen] == ["a, p 1, q 3", "a, p 2, q 3", "b, p 1, q 3", "b, p 2, q 3"]
-    assert variations([Path("a.yaml")], grid()) == [Variation(Path("a.yaml"), {}, "a")]
+    assert make_variations([Path("a.yaml")], grid()) == [Variation(Path("a.yaml"), {}, "a")]
 
 
 def test_a_key_tells_runs_apart_and_finds_them_again(folder: Path) -> None:
@@ -96,11 +96,11 @@ def test_a_key_is_that_of_the_scene_opened_by_itself(folder: Path) -> None:
     """Where a run is made the scene is opened anew, and refused where its key is another."""
     for job in make_jobs(folder, smell=("30mm", "60mm")):
         shot, _ = open_scene(folder / "scene.yaml", job.choices())
-        assert shot is not None and key_of(shot, job.seed, job.until, beginning(shot)) == job.key
+        assert shot is not None and job_key(shot, job.seed, job.until, start_hashes(shot)) == job.key
 
 
 def test_mistakes_are_reported_before_anything_runs(folder: Path) -> None:
-    chosen = variations([folder / "scene.yaml"], grid(smell=("60mm", "4s", "4m")))
+    chosen = make_variations([folder / "scene.yaml"], grid(smell=("60mm", "4s", "4m")))
     _, report = jobs(chosen, range(1, 3), frames=None, until=("food.lod",), grants={})
     assert sorted(d.code for d in report.errors) == ["out-of-range", "unknown-thing", "wrong-unit"]
 
@@ -111,7 +111,7 @@ def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: 
     outcomes = {outcome.job.key: outcome for outcome in run_all([missing_job, *good], Processes(2, 1))}
     assert outcomes["0"].measures is None and "there is no file" in outcomes["0"].problem
     for job in good:
-        assert same(outcomes[job.key].measures) == same(measure(job, 3, Built(), lambda frame: None))
+        assert same(outcomes[job.key].measures) == same(measure(job, 3, BindingCache(), lambda frame: None))
     measures = outcomes[good[0].key].measures
     assert measures is not None and measures["frames"] == measures["empty.food.apple.load"] < 30, "ended once it was empty"
     assert measures["empty.food.far.load"] is None and measures["left.food.far.load"] == 3
@@ -161,11 +161,11 @@ def test_only_complete_results_of_this_very_run_are_stored(folder: Path) -> None
     job = make_jobs(folder)[0]
     run_store = RunStore(folder / "out")
     assert run_store.read_measures(job) is None
-    run_store.keep(job, {"frames": 3})
+    run_store.write_measures(job, {"frames": 3})
     assert run_store.read_measures(job) == {"frames": 3} and RunStore(folder / "out").read_measures(job) == {"frames": 3}
     run_store.path(job).write_text(run_store.path(job).read_text()[:-30])
     assert run_store.read_measures(job) is None
-    with pytest.raises(OtherFiles):
+    with pytest.raises(NoSweepFolder):
         RunStore(folder)
 
 
@@ -184,7 +184,7 @@ def test_the_command_goes_on_where_it_was_stopped(
     monkeypatch.undo()
     out = folder / "out" / "sweep"
     (job, _) = make_jobs(folder)
-    RunStore(out).keep(job, {"frames": 30, "empty.food.apple.load": 11})
+    RunStore(out).write_measures(job, {"frames": 30, "empty.food.apple.load": 11})
     code, output, _ = sweep("--seeds", "2", "--jobs", "1", "--no-plots")
     assert code == 0 and "1 of 2 runs were finished before" in output and "1 of 1: scene, seed 2, 30 frames" in output
     document = json.loads((out / "sweep.json").read_text())
@@ -199,9 +199,11 @@ def test_a_table_is_drawn(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     from PIL import Image
 
-    from antdsl.sweep.plots import draw
+    from antdsl.sweep.plots import draw_measures
 
     job = Job("s.yaml", "a", (), 1, (1, 9), (), (), "k")
-    draw([(replace(job, label=label), {"x": v}) for label, v in (("a", 1), ("a", 4), ("b", None))], ["x"], tmp_path / "t.png")
+    draw_measures(
+        [(replace(job, label=label), {"x": v}) for label, v in (("a", 1), ("a", 4), ("b", None))], ["x"], tmp_path / "t.png"
+    )
     with Image.open(tmp_path / "t.png") as picture:
         assert picture.width > 600 and len(picture.convert("RGB").getcolors(1 << 20) or ()) > 8

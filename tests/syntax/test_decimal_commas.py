@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from antdsl.diagnostics import Diagnostic, Report
-from antdsl.loading import library
+from antdsl.loading import find_library
 from antdsl.program import check
 from antdsl.scene.load import load_text
 from antdsl.scene.paths import Roots
@@ -26,7 +26,7 @@ AROUND = (
 
 def find_errors(text: str) -> list[Diagnostic]:
     file, report = parse(Source("a.ant", text))
-    report.extend(check(file, library)[1])
+    report.extend(check(file, find_library)[1])
     return report.errors
 
 

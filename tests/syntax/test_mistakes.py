@@ -11,7 +11,7 @@ import pytest
 import yaml
 
 from antdsl.diagnostics import Report
-from antdsl.loading import library
+from antdsl.loading import find_library
 from antdsl.program import check
 from antdsl.source import Source
 from antdsl.syntax import parse
@@ -25,7 +25,7 @@ MARK = "‸"
 
 def diagnose(text: str) -> Report:
     file, report = parse(Source("forager.ant", text))
-    report.extend(check(file, library)[1])
+    report.extend(check(file, find_library)[1])
     return report
 
 

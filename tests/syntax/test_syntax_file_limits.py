@@ -8,8 +8,8 @@ import pytest
 
 from antdsl import limits, syntax
 from antdsl.source import Source
-from antdsl.syntax.parser import _Reading
-from antdsl.syntax.parts import Parts
+from antdsl.syntax.parser import _Parsing
+from antdsl.syntax.parts import IncrementalParser
 
 SPECIES = "species s{} {{ state a {{ }}\nlayers {{ state }} }}\n"
 END = "\nstate a { }\nlayers { state } }\n"
@@ -35,9 +35,9 @@ def test_a_large_file_is_one_located_message_and_is_not_parsed(words: str) -> No
 
 @pytest.mark.parametrize("words", LARGE)
 def test_a_file_that_is_edited_has_the_same_limits(words: str) -> None:
-    parts = Parts()
+    parts = IncrementalParser()
     parts.parse(Source("large.ant", "ant 1\n" + SPECIES.format("a") + SPECIES.format("b")))
-    with patch("antdsl.syntax.parser._Reading.lines", autospec=True, side_effect=_Reading.lines) as reading:
+    with patch("antdsl.syntax.parser._Reading.lines", autospec=True, side_effect=_Parsing.lines) as reading:
         edited_result = parts.parse(Source("large.ant", LARGE[words]))
     assert reading.call_count <= limits.STATEMENTS + limits.SPECIES  # one for each part, and for each group in it
     (problem,), (expected,) = (each.errors for each in (edited_result[1], syntax.parse(Source("large.ant", LARGE[words]))[1]))
@@ -48,4 +48,4 @@ def test_a_file_at_the_limits_is_parsed() -> None:
     text = "ant 1\n" + "".join(SPECIES.format(number) for number in range(limits.SPECIES))
     file, report = syntax.parse(Source("large.ant", text))
     assert report.ok and not file.broken
-    assert not Parts().parse(Source("large.ant", text))[1].diagnostics
+    assert not IncrementalParser().parse(Source("large.ant", text))[1].diagnostics

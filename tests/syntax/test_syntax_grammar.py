@@ -18,9 +18,9 @@ from antdsl import resources
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source, Span
 from antdsl.syntax import parse
-from antdsl.syntax.brackets import pair
+from antdsl.syntax.brackets import pair_brackets
 from antdsl.syntax.builder import Builder
-from antdsl.syntax.grammar import build_parser, numbered
+from antdsl.syntax.grammar import build_parser, number_tokens
 from antdsl.syntax.scan import scan
 from antdsl.syntax.tables import STARTS, TABLES_FILE, grammar_hash, load_parser
 from antdsl.syntax.words import BELONGS, BODIES, FORMS, LINE_WORDS
@@ -69,7 +69,7 @@ def test_tables_are_the_same_from_build_to_build() -> None:
         "end_states": {start: int(state[str(at)]) for start, at in reversed(shipped["end_states"].items())},
     }
     assert other["start_states"] != shipped["start_states"]
-    assert json.dumps(numbered(other)) == json.dumps(shipped), "however lark has numbered them"
+    assert json.dumps(number_tokens(other)) == json.dumps(shipped), "however lark has numbered them"
 
 
 def _patterns(parser: Lark) -> dict[str, tuple[str, str, int]]:
@@ -161,7 +161,7 @@ def test_cutting_a_text_gives_the_tree_of_the_whole(path: Path, single_pass_pars
     parser, builder = single_pass_parser
     source = Source(path.name, path.read_text(encoding="utf-8"))
     scanned = scan(source, Report())
-    assert pair(scanned) is not None  # this blanks the line ends inside parentheses
+    assert pair_brackets(scanned) is not None  # this blanks the line ends inside parentheses
     builder.place = Straight(source)
     items = parser.parse("".join(scanned.clean), start="file")
     file, report = parse(source)

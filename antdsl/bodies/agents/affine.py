@@ -19,7 +19,7 @@ Numbers = NDArray[Any]  # float32 or float64, as it was given
 _POLAR_STEPS = 8  # of which six are enough for scales of 1 : 1e15 in one matrix
 
 
-def normalised(rotation: Numbers) -> Numbers:
+def normalise(rotation: Numbers) -> Numbers:
     """Quaternions [4, …] made unit in place; one of length 0 becomes no rotation."""
     x, y, z, w = rotation
     square = x * x
@@ -34,7 +34,7 @@ def normalised(rotation: Numbers) -> Numbers:
     return rotation
 
 
-def product(a: Numbers, b: Numbers) -> Numbers:
+def quaternion_product(a: Numbers, b: Numbers) -> Numbers:
     """Return quaternions [4, …] of the rotation by b and then by a."""
     ax, ay, az, aw = a
     bx, by, bz, bw = b
@@ -46,7 +46,9 @@ def product(a: Numbers, b: Numbers) -> Numbers:
     ])  # fmt: skip
 
 
-def composed(translation: Numbers, rotation: Numbers, scale: Numbers | None, shear: Numbers | None, out: Numbers) -> Numbers:
+def compose_matrices(
+    translation: Numbers, rotation: Numbers, scale: Numbers | None, shear: Numbers | None, out: Numbers
+) -> Numbers:
     """Matrices [3, 4, …] of translations [3, …], unit quaternions [4, …], scales and shears [3, …] (None: 1, 0), into `out`."""
     x, y, z, w = rotation
     two = rotation.dtype.type(2)
@@ -73,7 +75,7 @@ def composed(translation: Numbers, rotation: Numbers, scale: Numbers | None, she
     return out
 
 
-def times(a: Numbers, b: Numbers, out: Numbers) -> Numbers:
+def multiply_matrices(a: Numbers, b: Numbers, out: Numbers) -> Numbers:
     """The products a · b of matrices [3, 4, …] into `out`, which is neither of them."""
     part = np.empty(out.shape[2:], out.dtype)
     for r in range(3):
@@ -123,12 +125,12 @@ def rotation_part(m: Numbers) -> Numbers:
             rotation[r, c][flat] = float(r == c)
     for _ in range(_POLAR_STEPS):
         back = inverse_transposed(rotation)
-        by = np.sqrt(np.sqrt(_square(back) / _square(rotation)))
+        by = np.sqrt(np.sqrt(_sum_of_squares(back) / _sum_of_squares(rotation)))
         rotation = 0.5 * (by * rotation + back / by)
     return rotation
 
 
-def _square(m: Numbers) -> Numbers:
+def _sum_of_squares(m: Numbers) -> Numbers:
     """Return the sum of squares […] of the elements of matrices [3, 3, …]."""
     total: Numbers = m[0, 0] * m[0, 0]
     for k in range(1, 9):
@@ -152,10 +154,10 @@ def quaternions(m: Numbers) -> Numbers:
     )  # fmt: skip
     quaternion = np.choose(best, candidates)
     quaternion *= np.where(quaternion[3] < 0, -1, 1)
-    return normalised(quaternion)
+    return normalise(quaternion)
 
 
-def decomposed(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers, Numbers]:
+def decompose_matrices(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers, Numbers]:
     """Return translation [3, J], rotation [4, J], scale and shear [3, J], float64, of matrices [J, 4, 4]; `composed` inverts
     this.
 
@@ -174,7 +176,7 @@ def decomposed(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers
         full_size = np.sqrt((m[0, c] * m[0, c] + m[1, c] * m[1, c]) + m[2, c] * m[2, c])
         flat = size <= 1e-12 * full_size
         upper[c, c] = np.where(flat, 1e-6 * full_size, size)
-        axes.append(np.where(flat, _across(axes, m.shape[-1]), column / np.where(flat, 1.0, size)))
+        axes.append(np.where(flat, _perpendicular(axes, m.shape[-1]), column / np.where(flat, 1.0, size)))
     mirror = determinants(np.stack(axes, 1), cofactors(np.stack(axes, 1))) < 0
     axes[0] = np.where(mirror, -axes[0], axes[0])
     upper[0] = np.where(mirror, -upper[0], upper[0])
@@ -184,7 +186,7 @@ def decomposed(matrices: NDArray[np.float64]) -> tuple[Numbers, Numbers, Numbers
     return m[:, 3].copy(), quaternions(np.stack(axes, 1)), scale, shear
 
 
-def _across(axes: list[Numbers], count: int) -> Numbers:
+def _perpendicular(axes: list[Numbers], count: int) -> Numbers:
     """Return a unit vector [3, count] perpendicular to the axes that exist."""
     if len(axes) == 2:
         a, b = axes

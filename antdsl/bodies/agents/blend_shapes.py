@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import Floats
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.skinning import Deformed, unit
+from antdsl.bodies.agents.skinning import Deformed, normalise_in_place
 
 _OWN = {"P": "points", "N": "normals"}  # attributes with a field of their own
 _LEAST_APART = 1e-6  # in-betweens of the same weight are one
@@ -31,8 +31,10 @@ def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses
     if len(blend.shapes) != len(blend.channels):
         raise ValueError(f"shape `{shape.name}` has {len(blend.shapes)} blend shapes and {len(blend.channels)} channels for them")
     n = max(len(poses.channels), len(deformed.points))
-    names = [name for name in blend.attributes if _of(deformed, name) is not None and values_of(shape, name) is not None]
-    values = {name: _spread(_of(deformed, name), n) for name in names}
+    names = [
+        name for name in blend.attributes if _read_attribute(deformed, name) is not None and values_of(shape, name) is not None
+    ]
+    values = {name: _by_component(_read_attribute(deformed, name), n) for name in names}
     for name, channel in zip(blend.shapes, blend.channels, strict=True):
         weights = poses.channels[:, definition.rig.channel(channel)]
         targets, knots = knots_of(definition, name)
@@ -41,20 +43,22 @@ def blend_shapes(deformed: Deformed, shape: Shape, definition: Definition, poses
                 continue
             has = [k for k, target in enumerate(targets) if values_of(target, each) is not None]
             for k, share in zip(has, shares_of(weights, knots[has]), strict=True):
-                base_points, target_points = matched(shape, targets[k], blend.point_id)
-                values[each][:, base_points] += difference(shape, targets[k], each, base_points, target_points)[..., None] * share
+                base_points, target_points = match_points(shape, targets[k], blend.point_id)
+                values[each][:, base_points] += (
+                    attribute_difference(shape, targets[k], each, base_points, target_points)[..., None] * share
+                )
     rest = {name: array.transpose(2, 1, 0) for name, array in values.items() if name not in _OWN}
     points = values["P"].transpose(2, 1, 0) if "P" in values else deformed.points
-    normals = unit(values["N"]).transpose(2, 1, 0) if "N" in values else deformed.normals
+    normals = normalise_in_place(values["N"]).transpose(2, 1, 0) if "N" in values else deformed.normals
     return Deformed(points, normals, {**deformed.attributes, **rest})
 
 
-def _of(deformed: Deformed, name: str) -> Floats | None:
+def _read_attribute(deformed: Deformed, name: str) -> Floats | None:
     """Return an attribute [n, P, …] as deformed so far."""
     return {"P": deformed.points, "N": deformed.normals}[name] if name in _OWN else deformed.attributes.get(name)
 
 
-def _spread(values: Floats | None, n: int) -> Floats:
+def _by_component(values: Floats | None, n: int) -> Floats:
     """An attribute as a new array [components, P, n]."""
     assert values is not None
     wide = values.reshape(*values.shape[:2], -1).transpose(2, 1, 0)
@@ -94,7 +98,7 @@ def shares_of(weights: Floats, knots: NDArray[np.float64]) -> Floats:
     return shares
 
 
-def matched(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def match_points(base: Shape, target: Shape, point_id: str) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Return the matched points: those of the base, and the corresponding points of the other shape."""
     own, other = base.attributes.get(point_id), target.attributes.get(point_id)
     if own is None or other is None:
@@ -112,7 +116,9 @@ def values_of(shape: Shape, name: str) -> NDArray[np.generic] | None:
     return values
 
 
-def difference(base: Shape, target: Shape, name: str, base_points: NDArray[np.intp], target_points: NDArray[np.intp]) -> Floats:
+def attribute_difference(
+    base: Shape, target: Shape, name: str, base_points: NDArray[np.intp], target_points: NDArray[np.intp]
+) -> Floats:
     """Return another shape's attribute minus that of the base at matched points, float32[components, matched]."""
     mine, others = values_of(base, name), values_of(target, name)
     assert mine is not None and others is not None

@@ -28,11 +28,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import Floats, normalised, product
+from antdsl.bodies.agents.affine import Floats, normalise, quaternion_product
 from antdsl.bodies.agents.definition import TransformGroup
-from antdsl.bodies.agents.poses import REST, ClipTable, Pose, Poses, rest_pose, sampled, transforms
+from antdsl.bodies.agents.poses import REST, ClipTable, Pose, Poses, rest_pose, sample_poses, transforms
 from antdsl.numerics import parallel
-from antdsl.numerics.float_environment import standard
+from antdsl.numerics.float_environment import standard_floats
 
 INTERPOLATE, ADDITIVE, OVER = 0, 1, 2
 NO_PARENT = -1
@@ -114,7 +114,7 @@ def posed(
     Raises KeyError for a transform group that does not exist, or that names what the rig does not have. Raises IndexError for a
     clip or tree number out of range, and ValueError for arrays that do not fit each other or the trees. `threads` and the order
     of agents change no bit."""
-    _fitting(playing)
+    _check_shapes(playing)
     n, joints = len(playing.tree), len(table.order)
     if n and not 0 <= int(playing.tree.min()) <= int(playing.tree.max()) < len(playing.trees):
         raise IndexError(f"trees are numbered from 0 to {len(playing.trees) - 1}")
@@ -133,20 +133,20 @@ def posed(
             for a in range(begin, end, part):
                 b = min(a + part, end)
                 agents = slice(a, b) if rows is None else rows[a:b]
-                pose = blended(table, members, tree, playing, agents)
+                pose = blend_agents(table, members, tree, playing, agents)
                 local_matrices, placed = transforms(table, pose)
-                _put(world, table, agents, placed)
+                _store_matrices(world, table, agents, placed)
                 if own is not None:
-                    _put(own, table, agents, local_matrices)
+                    _store_matrices(own, table, agents, local_matrices)
                 channels[:, agents] = pose.channels
 
         if count:
-            with standard():
+            with standard_floats():
                 parallel.in_parts(work, count, threads)
     return Poses(world.transpose(3, 2, 0, 1), None if own is None else own.transpose(3, 2, 0, 1), channels.T)
 
 
-def _fitting(playing: Playing) -> None:
+def _check_shapes(playing: Playing) -> None:
     """Reject arrays with shapes other than the trees need."""
     n = len(playing.tree)
     slots = max((len(tree.layers) for tree in playing.trees), default=0)
@@ -157,7 +157,7 @@ def _fitting(playing: Playing) -> None:
             raise ValueError(f"`{name}` of {n} agents is {shape} where [{n}, {least} or more] is needed")
 
 
-def _put(into: Floats, table: ClipTable, agents: slice | NDArray[np.intp], matrices: Floats) -> None:
+def _store_matrices(into: Floats, table: ClipTable, agents: slice | NDArray[np.intp], matrices: Floats) -> None:
     """Write matrices of some agents into their rows, with joints in the order of the rig."""
     for r in range(3):
         for c in range(4):
@@ -177,14 +177,14 @@ class _Input:
     channels: Floats
 
 
-def blended(
+def blend_agents(
     table: ClipTable, members: Mapping[str, tuple[Floats, Floats]], tree: ClipTree, playing: Playing,
     agents: slice | NDArray[np.intp],
 ) -> Pose:  # fmt: skip
     """The local poses of some agents, all of which have this tree; `members`: weights of transform groups by name."""
-    clips = _by_slot(playing.clips, agents)
-    times, weights = _by_slot(playing.times, agents), _heeded(_by_slot(playing.weights, agents))
-    layer_weights = _heeded(_by_slot(playing.layer_weights, agents))
+    clips = _columns_of(playing.clips, agents)
+    times, weights = _columns_of(playing.times, agents), _clean_weights(_columns_of(playing.weights, agents))
+    layer_weights = _clean_weights(_columns_of(playing.layer_weights, agents))
     n = clips.shape[1]
     rest = rest_pose(table, n)
 
@@ -193,7 +193,7 @@ def blended(
         joints, channels = presence, presence
         if tree.groups[slot]:
             joints, channels = (each[:, None] * presence for each in members[tree.groups[slot]])
-        return _Input(sampled(table, clips[slot], times[slot]), weights[slot], joints, channels)
+        return _Input(sample_poses(table, clips[slot], times[slot]), weights[slot], joints, channels)
 
     def of_layer(layer: int) -> _Input:
         inputs = [of_clip(slot) for slot, each in enumerate(tree.layers) if each == layer]
@@ -208,20 +208,20 @@ def blended(
     return of_layer(tree.root).pose
 
 
-def _by_slot(values: NDArray, agents: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
+def _columns_of(values: NDArray, agents: slice | NDArray[np.intp]) -> NDArray:  # type: ignore[type-arg]  # of any numbers
     """Rows of some agents as one array a column."""
     return np.ascontiguousarray(values[agents].T)
 
 
-def _heeded(weights: Floats) -> Floats:
+def _clean_weights(weights: Floats) -> Floats:
     """Return weights limited to the range from 0 to the largest value that can be summed; NaN becomes 0."""
     return np.minimum(np.where(weights > 0, weights, np.float32(0)).astype(np.float32, copy=False), _MOST)
 
 
-def _mean(inputs: list[_Input], rest: Pose) -> _Input:
+def _blend_mean(inputs: list[_Input], rest: Pose) -> _Input:
     """The weighted mean of some inputs."""
     if len(inputs) == 1:
-        return _alone(inputs[0], rest)
+        return _single_mean(inputs[0], rest)
     joint_shares, joints, no_joint = _shares([(each.weight, each.joints) for each in inputs])
     channel_shares, channels, no_channel = _shares([(each.weight, each.channels) for each in inputs])
     first = inputs[0].pose
@@ -242,17 +242,17 @@ def _mean(inputs: list[_Input], rest: Pose) -> _Input:
                 np.multiply(addend, share, out=part[:3])
                 into += part[:3]
         pose.channels += each.pose.channels * channel_share
-        _join(pose.rotation, each.pose.rotation, share, part)
-    normalised(pose.rotation)
-    _rest_where(pose, rest, no_joint, no_channel)
+        _add_rotations(pose.rotation, each.pose.rotation, share, part)
+    normalise(pose.rotation)
+    _reset_to_rest(pose, rest, no_joint, no_channel)
     return _Input(pose, inputs[0].weight, joints, channels)
 
 
-def _alone(only: _Input, rest: Pose) -> _Input:
+def _single_mean(only: _Input, rest: Pose) -> _Input:
     """The mean of one input: itself, where it has any weight."""
     joints = only.joints * (only.weight > 0)
     channels = only.channels * (only.weight > 0)
-    _rest_where(only.pose, rest, joints == 0, channels == 0)
+    _reset_to_rest(only.pose, rest, joints == 0, channels == 0)
     return _Input(only.pose, only.weight, joints, channels)
 
 
@@ -270,7 +270,7 @@ def _shares(weights: list[tuple[Floats, Floats]]) -> tuple[list[Floats], Floats,
     return [each * by for each in products], presence, none
 
 
-def _join(into: Floats, addend: Floats, share: Floats, part: Floats) -> None:
+def _add_rotations(into: Floats, addend: Floats, share: Floats, part: Floats) -> None:
     """Add a share of quaternions to a sum, with the sign aligned to the sum."""
     np.multiply(into, addend, out=part)
     dots = part[0]
@@ -281,7 +281,7 @@ def _join(into: Floats, addend: Floats, share: Floats, part: Floats) -> None:
     into += part
 
 
-def _rest_where(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
+def _reset_to_rest(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_channel: NDArray[np.bool_]) -> None:
     """Set the rest pose at joints, and the defaults of channels, that no input covers."""
     if no_joint.any():
         parts = (pose.translation, pose.rotation, pose.scale, pose.shear)
@@ -292,26 +292,26 @@ def _rest_where(pose: Pose, rest: Pose, no_joint: NDArray[np.bool_], no_channel:
         np.copyto(pose.channels, rest.channels, where=no_channel)
 
 
-def _added(inputs: list[_Input], rest: Pose) -> _Input:
+def _blend_added(inputs: list[_Input], rest: Pose) -> _Input:
     """The first input, and a share of the differences of the others from the rest pose."""
     first = inputs[0]
     pose, joints, channels = first.pose, first.joints, first.channels
-    _rest_where(pose, rest, joints == 0, channels == 0)
+    _reset_to_rest(pose, rest, joints == 0, channels == 0)
     back = rest.rotation * np.array([-1, -1, -1, 1], np.float32)[:, None, None]
     for each in inputs[1:]:
         share, channel_share = each.weight * each.joints, each.weight * each.channels
         pose.translation += (each.pose.translation - rest.translation) * share
         pose.channels += (each.pose.channels - rest.channels) * channel_share
-        turn = product(each.pose.rotation, back)
+        turn = quaternion_product(each.pose.rotation, back)
         turn *= np.where(turn[3] < 0, -share, share)
         turn[3] += _ONE - share
-        pose.rotation = normalised(product(normalised(turn), pose.rotation))
+        pose.rotation = normalise(quaternion_product(normalise(turn), pose.rotation))
         joints = np.maximum(joints, np.minimum(share, _ONE))
         channels = np.maximum(channels, np.minimum(channel_share, _ONE))
     return _Input(pose, first.weight, joints, channels)
 
 
-def _over(inputs: list[_Input], rest: Pose) -> _Input:
+def _blend_over(inputs: list[_Input], rest: Pose) -> _Input:
     """Each input over those before it, and the first over the rest pose."""
     parts = (rest.translation, rest.rotation, rest.scale, rest.shear, rest.channels)
     pose = Pose(*(None if each is None else each.copy() for each in parts))  # type: ignore[arg-type]
@@ -329,10 +329,10 @@ def _over(inputs: list[_Input], rest: Pose) -> _Input:
         pose.channels += (each.pose.channels - pose.channels) * channel_share
         part = np.empty_like(pose.rotation)
         pose.rotation *= _ONE - share
-        _join(pose.rotation, each.pose.rotation, share, part)
-        normalised(pose.rotation)
+        _add_rotations(pose.rotation, each.pose.rotation, share, part)
+        normalise(pose.rotation)
         joints, channels = joints + share - joints * share, channels + channel_share - channels * channel_share
     return _Input(pose, inputs[0].weight, joints, channels)  # type: ignore[arg-type]
 
 
-_BY_MODE = {INTERPOLATE: _mean, ADDITIVE: _added, OVER: _over}
+_BY_MODE = {INTERPOLATE: _blend_mean, ADDITIVE: _blend_added, OVER: _blend_over}

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Binding, Definition, Shape
-from antdsl.bodies.agents.transforms import followed_by, world_matrices
-from antdsl.scene.geometry.matrices import applied
+from antdsl.bodies.agents.transforms import compose_transforms, world_matrices
+from antdsl.scene.geometry.matrices import apply_transforms
 
 Floats = NDArray[Any]  # float32 or float64
 
@@ -55,27 +55,29 @@ def _binding_box(definition: Definition, binding: Binding, worlds: Floats) -> tu
     shape = definition.shapes[binding.shape]
     scale = np.array(binding.bounds_scale, worlds.dtype)
     if shape.capture is not None and binding.deformer not in ("", "blendshape"):
-        followed = _followed(shape)
+        followed = _followed_joints(shape)
         chosen = [definition.rig.joint(shape.capture.names[number]) for number in followed]
         if len(chosen) == 1:  # it moves with its joint as a static shape does
-            return _carried(_extent(definition, shape), scale, worlds[:, chosen[0]], shape.capture.inverse[followed[0]])
+            return _transform_box(
+                _shape_extent(definition, shape), scale, worlds[:, chosen[0]], shape.capture.inverse[followed[0]]
+            )
         low, high = _joint_positions(worlds, chosen)
         middle, half = (low + high) / 2, (high - low) / 2 * scale
         return middle - half, middle + half
-    extent = _extent(definition, shape)
+    extent = _shape_extent(definition, shape)
     if binding.transform:
-        return _carried(extent, scale, worlds[:, definition.rig.joint(binding.transform)], np.eye(4))
-    middle, half = _middle(extent, scale)
+        return _transform_box(extent, scale, worlds[:, definition.rig.joint(binding.transform)], np.eye(4))
+    middle, half = _scaled_box(extent, scale)
     return np.broadcast_to(middle - half, (len(worlds), 3)), np.broadcast_to(middle + half, (len(worlds), 3))
 
 
-def _middle(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Floats]:
+def _scaled_box(extent: tuple[Floats, Floats], scale: Floats) -> tuple[Floats, Floats]:
     """Return the centre of a box and its scaled half widths, in the dtype of the scale."""
     low, high = extent
     return ((low + high) / 2).astype(scale.dtype), ((high - low) / 2).astype(scale.dtype) * scale
 
 
-def _carried(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, own: Floats) -> tuple[Floats, Floats]:
+def _transform_box(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, own: Floats) -> tuple[Floats, Floats]:
     """The box of a scaled box that is transformed by the matrix `own` [4, 4] and then by each of `worlds` [n, 4, 4]."""
     matrices = worlds
     if (own != np.eye(4)).any():
@@ -84,7 +86,7 @@ def _carried(extent: tuple[Floats, Floats], scale: Floats, worlds: Floats, own: 
             ((worlds[:, :, 0] * c[0] + worlds[:, :, 1] * c[1]) + worlds[:, :, 2] * c[2]) + worlds[:, :, 3] * c[3] for c in own.T
         ]
         matrices = np.stack(columns, axis=-1)
-    middle, half = _middle(extent, scale)
+    middle, half = _scaled_box(extent, scale)
     # the box of a turned box: its middle is turned, its half widths go by the sizes of the matrix's entries
     turned = matrices[:, :3, 0] * middle[0] + matrices[:, :3, 1] * middle[1] + matrices[:, :3, 2] * middle[2] + matrices[:, :3, 3]
     size = np.abs(matrices[:, :3, :3])
@@ -102,13 +104,13 @@ def _joint_positions(worlds: Floats, chosen: list[int]) -> tuple[Floats, Floats]
     return low, high
 
 
-def _followed(shape: Shape) -> list[int]:
+def _followed_joints(shape: Shape) -> list[int]:
     """Return the indices of the captured joints that have a weight at any point of a shape."""
     assert shape.capture is not None
     return [int(number) for number in np.unique(shape.capture.joints[shape.capture.weights > 0])]
 
 
-def _extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _shape_extent(definition: Definition, shape: Shape) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the box of a shape and of all shapes that it may be blended with."""
     inputs = [definition.shapes[name] for name in (shape.blend.shapes if shape.blend else ())]
     shapes = [shape, *inputs]
@@ -139,15 +141,17 @@ def rest_box(definition: Definition) -> tuple[NDArray[np.float64], NDArray[np.fl
 def _rest_points(definition: Definition, binding: Binding, shape: Shape, world: NDArray[np.float64]) -> NDArray[np.float64]:
     points = shape.points.astype(np.float64)
     if shape.capture is None or binding.deformer in ("", "blendshape"):
-        return _moved(world[definition.rig.joint(binding.transform)], points) if binding.transform else points
+        return _transform_points(world[definition.rig.joint(binding.transform)], points) if binding.transform else points
     chosen = [definition.rig.joint(name) for name in shape.capture.names]
-    matrices = followed_by(world[chosen], shape.capture.inverse)
+    matrices = compose_transforms(world[chosen], shape.capture.inverse)
     skinned_points = np.zeros_like(points)
     for column in range(shape.capture.joints.shape[1]):
-        skinned_points += _moved(matrices[shape.capture.joints[:, column]], points) * shape.capture.weights[:, column, None]
+        skinned_points += (
+            _transform_points(matrices[shape.capture.joints[:, column]], points) * shape.capture.weights[:, column, None]
+        )
     return skinned_points
 
 
-def _moved(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def _transform_points(matrix: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Points [P, 3] by one matrix [4, 4], or each by its own [P, 4, 4]."""
-    return applied(matrix[..., :3, :], points)
+    return apply_transforms(matrix[..., :3, :], points)

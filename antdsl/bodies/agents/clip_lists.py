@@ -51,28 +51,28 @@ def playing_of(
     for what, values, expected_counts in lists + [(what, values, layer_counts) for what, values in of_layers.items()]:
         if values is not None and len(values) != int(expected_counts.sum()):
             raise ValueError(f"there are {len(values)} {what} where agents have {int(expected_counts.sum())}")
-    clip_numbers = _numbered(names, table.number)
-    words, group_numbers = _words(groups, len(names))
-    clips = _padded(clip_numbers, counts, REST).astype(np.int32)
-    group = _padded(group_numbers, counts, _NONE)
-    layer = _padded(np.zeros(len(names), np.int64) if layer_ids is None else layer_ids, counts, _NONE)
-    mode, parent = _padded(modes, layer_counts, _NONE), _padded(parents, layer_counts, _NONE)
+    clip_numbers = _number_names(names, table.number)
+    words, group_numbers = _distinct_names(groups, len(names))
+    clips = _pad_lists(clip_numbers, counts, REST).astype(np.int32)
+    group = _pad_lists(group_numbers, counts, _NONE)
+    layer = _pad_lists(np.zeros(len(names), np.int64) if layer_ids is None else layer_ids, counts, _NONE)
+    mode, parent = _pad_lists(modes, layer_counts, _NONE), _pad_lists(parents, layer_counts, _NONE)
     structure = np.concatenate([group, layer, mode, parent], axis=1)
     _, first, tree = np.unique(structure, axis=0, return_index=True, return_inverse=True)
-    trees = tuple(_tree(int(agent), words, group, layer, mode, parent, counts, layer_counts) for agent in first)
+    trees = tuple(_agent_tree(int(agent), words, group, layer, mode, parent, counts, layer_counts) for agent in first)
     return Playing(
-        trees, tree.reshape(-1).astype(np.int32), clips, _padded(times, counts, 0.0),
-        _padded(weights, counts, 0.0).astype(np.float32), _padded(layer_weights, layer_counts, 0.0).astype(np.float32),
+        trees, tree.reshape(-1).astype(np.int32), clips, _pad_lists(times, counts, 0.0),
+        _pad_lists(weights, counts, 0.0).astype(np.float32), _pad_lists(layer_weights, layer_counts, 0.0).astype(np.float32),
     )  # fmt: skip
 
 
-def _numbered(names: Numbers, number: Callable[[str], int]) -> NDArray[np.int64]:
+def _number_names(names: Numbers, number: Callable[[str], int]) -> NDArray[np.int64]:
     """Numbers of names, each name looked up once."""
     known, which = np.unique(np.asarray(names, np.str_), return_inverse=True)
     return np.array([number(str(name)) for name in known], np.int64)[which.reshape(-1)]
 
 
-def _words(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[np.int64]]:
+def _distinct_names(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[np.int64]]:
     """The different names, and which each is."""
     if names is None:
         return ("",), np.zeros(count, np.int64)
@@ -80,7 +80,7 @@ def _words(names: Numbers | None, count: int) -> tuple[tuple[str, ...], NDArray[
     return tuple(str(name) for name in known), which.reshape(-1)
 
 
-def _padded(values: Numbers | None, counts: NDArray[np.int64], missing: float) -> Numbers:
+def _pad_lists(values: Numbers | None, counts: NDArray[np.int64], missing: float) -> Numbers:
     """Return concatenated lists as rows [n, most], padded with `missing`; `counts` are the lengths."""
     flat_values = np.asarray([] if values is None else values)
     kind = flat_values.dtype if len(flat_values) else np.asarray(missing).dtype
@@ -90,7 +90,7 @@ def _padded(values: Numbers | None, counts: NDArray[np.int64], missing: float) -
     return padded_rows
 
 
-def _tree(
+def _agent_tree(
     agent: int, words: tuple[str, ...], group: Numbers, layer: Numbers, mode: Numbers, parent: Numbers, counts: Numbers,
     layer_counts: Numbers,
 ) -> ClipTree:  # fmt: skip

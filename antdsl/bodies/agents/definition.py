@@ -56,7 +56,7 @@ class Rig:
                 return number
         raise KeyError(name)
 
-    def below(self, joint: int) -> NDArray[np.intp]:
+    def descendants(self, joint: int) -> NDArray[np.intp]:
         """Return the numbers of a joint and of all its descendants, parents before children."""
         inside = np.zeros(len(self.names), bool)
         inside[joint] = True
@@ -98,7 +98,7 @@ class Blend:
 
 
 @dataclass(frozen=True, slots=True)
-class Between:
+class InBetweens:
     """Corrective shapes of a blend shape's input, each applied at a weight that is neither 0 nor 1."""
 
     shapes: tuple[str, ...]
@@ -121,7 +121,7 @@ class Shape:
     attributes: dict[str, NDArray[np.float32] | NDArray[np.int64]] = field(default_factory=dict)
     capture: Capture | None = None
     blend: Blend | None = None
-    between: Between | None = None
+    between: InBetweens | None = None
     dual_quaternion_blend: str = ""
 
 
@@ -264,7 +264,7 @@ class Definition:
     idle: str = ""
     variation: Variation = NONE
 
-    def base(self) -> NDArray[np.float64]:
+    def base_matrix(self) -> NDArray[np.float64]:
         """Return the matrix float64[4, 4] from its own space to agent space: length 1, front +x, up +y."""
         ahead, up = np.array(self.front, np.float64), np.array(self.up, np.float64)
         matrix = np.eye(4)

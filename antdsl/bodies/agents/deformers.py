@@ -14,8 +14,15 @@ from antdsl.bodies.agents.affine import inverse_transposed
 from antdsl.bodies.agents.blend_shapes import blend_shapes
 from antdsl.bodies.agents.definition import Binding, Definition, Shape
 from antdsl.bodies.agents.poses import Poses
-from antdsl.bodies.agents.skinning import Deformed, apply, dual_quaternion, dual_quaternion_blend, linear, unit
-from antdsl.numerics.float_environment import standard
+from antdsl.bodies.agents.skinning import (
+    Deformed,
+    dual_quaternion_blend,
+    dual_quaternion_skinning,
+    linear_skinning,
+    normalise_in_place,
+    transform_points,
+)
+from antdsl.numerics.float_environment import standard_floats
 
 _PART = 1 << 15  # points of agents worked on at once
 
@@ -29,14 +36,15 @@ class Deformer(Protocol):
 
 
 DEFORMERS: dict[str, Deformer] = {
-    "linearskinning": linear,
-    "dualquatskinning": dual_quaternion,
+    "linearskinning": linear_skinning,
+    "dualquatskinning": dual_quaternion_skinning,
     "dualquatblendskinning": dual_quaternion_blend,
     "blendshape": blend_shapes,
 }
 
 
-SKINNING = (linear, dual_quaternion, dual_quaternion_blend)  # deformers that move a shape by the joints that its points follow
+# deformers that move a shape by the joints that its points follow
+SKINNING = (linear_skinning, dual_quaternion_skinning, dual_quaternion_blend)
 
 
 def register(name: str, deformer: Deformer) -> None:
@@ -46,7 +54,7 @@ def register(name: str, deformer: Deformer) -> None:
     DEFORMERS[name] = deformer
 
 
-def steps(name: str) -> tuple[Deformer, ...]:
+def deformer_steps(name: str) -> tuple[Deformer, ...]:
     """Return the deformers of a name, in the order of application. Raises KeyError with the existing names."""
     missing = [part for part in name.split("+") if part not in DEFORMERS]
     if missing:
@@ -64,9 +72,9 @@ def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
     named = shape.blend.attributes if shape.blend else ()
     further = {name: values[None].astype(np.float32) for name, values in shape.attributes.items() if name in named}
     rest = Deformed(shape.points[None], None if shape.normals is None else shape.normals[None], further)
-    chain = steps(binding.deformer) if binding.deformer else ()
+    chain = deformer_steps(binding.deformer) if binding.deformer else ()
     if binding.transform and not any(step in SKINNING for step in chain):
-        chain = (*chain, _carried(binding))
+        chain = (*chain, _rigid_step(binding))
     points = np.empty((n, *shape.points.shape), np.float32)
     normals = None if shape.normals is None else np.empty(points.shape, np.float32)
     others = {name: np.empty((n, *values.shape[1:]), np.float32) for name, values in rest.attributes.items()}
@@ -75,7 +83,7 @@ def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
         rows = slice(a, min(a + part, n))
         local = None if poses.local is None else poses.local[rows]
         part_poses, deformed = Poses(poses.world[rows], local, poses.channels[rows]), rest
-        with standard():
+        with standard_floats():
             for step in chain:
                 deformed = step(deformed, shape, definition, part_poses)
         points[rows] = deformed.points
@@ -86,16 +94,16 @@ def bound(definition: Definition, binding: Binding, poses: Poses) -> Deformed:
     return Deformed(points, normals, others)
 
 
-def _carried(binding: Binding) -> Deformer:
+def _rigid_step(binding: Binding) -> Deformer:
     """The step that moves a shape by its joint alone."""
 
     def carried(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
         joint = definition.rig.joint(binding.transform)
         matrices = poses.world[:, joint].transpose(1, 2, 0)[:, :, None]
-        points = apply(matrices, deformed.points).transpose(2, 1, 0)
+        points = transform_points(matrices, deformed.points).transpose(2, 1, 0)
         if deformed.normals is None:
             return Deformed(points, None, deformed.attributes)
-        across = apply(inverse_transposed(matrices), deformed.normals)
-        return Deformed(points, unit(across).transpose(2, 1, 0), deformed.attributes)
+        across = transform_points(inverse_transposed(matrices), deformed.normals)
+        return Deformed(points, normalise_in_place(across).transpose(2, 1, 0), deformed.attributes)
 
     return carried

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import Floats, normalised
+from antdsl.bodies.agents.affine import Floats, normalise
 from antdsl.bodies.agents.definition import Rig, TransformGroup, language_names
 from antdsl.bodies.agents.poses import ClipTable, Poses
-from antdsl.bodies.agents.varied_bodies import Draws
+from antdsl.bodies.agents.varied_bodies import VariationDraws
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Driven:
+class DrivenPose:
     """Values that drive the poses of n agents.
 
     `channels` float32[n] by display name: the value that overrides the clips for a channel of the rig; NaN where the clips
@@ -26,12 +26,12 @@ class Driven:
 
     channels: Mapping[str, Floats] = field(default_factory=dict)
     looks: Mapping[str, Floats] = field(default_factory=dict)
-    draws: Draws | None = None
+    draws: VariationDraws | None = None
     lean: Floats | None = None
 
-    def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Driven:
+    def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> DrivenPose:
         """The same of some agents."""
-        return Driven(
+        return DrivenPose(
             {name: each[chosen] for name, each in self.channels.items()},
             {name: each[chosen] for name, each in self.looks.items()},
             None if self.draws is None else self.draws.rows(chosen),
@@ -71,9 +71,9 @@ def with_looks(
     axes = (base / np.sqrt((x * x + y * y) + z * z)).astype(np.float32)
     for name, look in known_looks.items():
         direction = [(look[:, 0] * axes[0, k] + look[:, 1] * axes[1, k]) + look[:, 2] * axes[2, k] for k in range(3)]
-        turn = _shortest(direction, axes[0])
+        turn = _shortest_turn(direction, axes[0])
         for joint, share in look_shares(table.rig, groups[name]):
-            _turned(world, joint, table.rig.below(joint), _share(turn, share))
+            _turn_joints(world, joint, table.rig.descendants(joint), _partial_turn(turn, share))
     return Poses(world, None, poses.channels)
 
 
@@ -84,11 +84,11 @@ def look_shares(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]]:
     for joint, weight in sorted((rig.joint(member), weight) for member, weight in group.members):
         share = min(weight, float(left[joint]))
         if share > 0:
-            left[rig.below(joint)] -= share
+            left[rig.descendants(joint)] -= share
             yield joint, share
 
 
-def _shortest(direction: Sequence[Floats], ahead: Floats) -> Floats:
+def _shortest_turn(direction: Sequence[Floats], ahead: Floats) -> Floats:
     """Return the quaternions float32[n, 4] of the shortest rotations that bring `ahead` [3] to unit vectors, given as x, y and z
     [n]."""
     x, y, z = ahead
@@ -97,17 +97,17 @@ def _shortest(direction: Sequence[Floats], ahead: Floats) -> Floats:
         1 + ((direction[0] * x + direction[1] * y) + direction[2] * z),
     ]).astype(np.float32)  # fmt: skip
     quaternions[:, quaternions[3] < 1e-6] = np.array([[0], [0], [0], [1]], np.float32)  # straight back: there is no shortest turn
-    return np.ascontiguousarray(normalised(quaternions).T)
+    return np.ascontiguousarray(normalise(quaternions).T)
 
 
-def _share(turn: Floats, weight: float) -> Floats:
+def _partial_turn(turn: Floats, weight: float) -> Floats:
     """A share of turns [n, 4], by nlerp from none."""
     part = turn * np.float32(weight)
     part[:, 3] += np.float32(1 - weight)
-    return np.ascontiguousarray(normalised(np.ascontiguousarray(part.T)).T)
+    return np.ascontiguousarray(normalise(np.ascontiguousarray(part.T)).T)
 
 
-def _turned(world: Floats, joint: int, moved: NDArray[np.intp], turn: Floats) -> None:
+def _turn_joints(world: Floats, joint: int, moved: NDArray[np.intp], turn: Floats) -> None:
     """Rotate some joints [n, J, 3, 4] about the position of one joint, in place."""
     x, y, z, w = turn.T
     matrix = np.empty((len(turn), 3, 3), np.float32)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Definition, Leg, Rig
-from antdsl.bodies.agents.poses import REST, clip_table, sampled, transforms
+from antdsl.bodies.agents.poses import REST, clip_table, sample_poses, transforms
 from antdsl.scene.setting import GaitData, LegsData
 
 Joints = NDArray[np.intp]
@@ -28,15 +28,15 @@ class Chain:
     sole: Joints
 
 
-def chain(rig: Rig, leg: Leg) -> Chain:
+def leg_chain(rig: Rig, leg: Leg) -> Chain:
     """The chain of a leg. Raises KeyError for a joint that the rig does not have."""
     upper, lower, foot = rig.joint(leg.upper), rig.joint(leg.lower), rig.joint(leg.foot)
-    below = [_below(rig, joint) for joint in (upper, lower, foot)]
+    below = [_descendant_mask(rig, joint) for joint in (upper, lower, foot)]
     thigh, shank = (np.flatnonzero(a & ~b) for a, b in pairwise(below))
     return Chain(upper, lower, foot, thigh, shank, np.flatnonzero(below[2]))
 
 
-def _below(rig: Rig, joint: int) -> NDArray[np.bool_]:
+def _descendant_mask(rig: Rig, joint: int) -> NDArray[np.bool_]:
     is_below = np.zeros(len(rig.names), np.bool_)
     is_below[joint] = True
     for number in range(joint + 1, len(is_below)):
@@ -49,19 +49,19 @@ def standing_joints(body: Definition) -> NDArray[np.float64]:
     sample of its idle clip, or the rest pose."""
     table = clip_table(body)
     number = table.number(body.idle) if body.idle in body.clips else REST
-    world = transforms(table, sampled(table, np.array([number]), np.zeros(1)))[1]
+    world = transforms(table, sample_poses(table, np.array([number]), np.zeros(1)))[1]
     positions = np.empty((len(table.order), 3))
     positions[table.order] = world[:, 3, :, 0].T
-    base = body.base()
+    base = body.base_matrix()
     return np.stack(
         [(base[k, 0] * positions[:, 0] + base[k, 1] * positions[:, 1]) + base[k, 2] * positions[:, 2] for k in range(3)], 1
     )
 
 
-def legs_of(body: Definition) -> LegsData:
+def legs_data(body: Definition) -> LegsData:
     """Return the legs of a body that has some, in body lengths."""
     positions = standing_joints(body)
-    chains = [chain(body.rig, leg) for leg in body.legs]
+    chains = [leg_chain(body.rig, leg) for leg in body.legs]
     hip, knee, foot = (positions[[getattr(each, name) for each in chains]] for name in ("upper", "lower", "foot"))
     length = _lengths(knee - hip) + _lengths(foot - knee)
     per = 1.0 / body.length

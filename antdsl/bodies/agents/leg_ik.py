@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import Floats, Numbers, composed, normalised
+from antdsl.bodies.agents.affine import Floats, Numbers, compose_matrices, normalise
 from antdsl.bodies.agents.definition import Definition
-from antdsl.bodies.agents.leg_chains import Chain, Joints, chain, standing_joints
-from antdsl.bodies.agents.machine_clips import MachineClips, Played
+from antdsl.bodies.agents.leg_chains import Chain, Joints, leg_chain, standing_joints
+from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip
 from antdsl.bodies.agents.poses import Poses
 
 STRAIGHT = 0.9995  # of both bones together: a leg is never quite straight, or its knee would have no side
@@ -58,12 +58,14 @@ class PlacedFeet:
         """The same of some agents."""
         return PlacedFeet(self.P[chosen], self.down[chosen], self.phase[chosen], self.rise[chosen], self.tilt[chosen])
 
-    def beside(self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]) -> FeetOfBodies:
+    def relative_to(
+        self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]
+    ) -> FeetOfBodies:
         """Return the feet relative to bodies at `position` [n, 3] with rotation `orient` [n, 4] and length `scale` [n]. Numbers
         that are not finite count as 0."""
         with np.errstate(all="ignore"):
             away = np.asarray(self.P, np.float64) - np.asarray(position, np.float64)[:, None]
-            across = _rotation(orient)
+            across = _rotation_matrices(orient)
             size = np.where(np.asarray(scale) > 0, scale, 1.0).astype(np.float64)
             x, y, z = (away[..., k] for k in range(3))
             place = [(x * m[0, :, None] + y * m[1, :, None]) + z * m[2, :, None] for m in np.moveaxis(across, 1, 0)]
@@ -78,10 +80,10 @@ class Legs:
     """The legs of a definition, ready to be bent."""
 
     def __init__(self, body: Definition) -> None:
-        self._chains = [chain(body.rig, leg) for leg in body.legs]
+        self._chains = [leg_chain(body.rig, leg) for leg in body.legs]
         standing = standing_joints(body)
         self.soles = standing[[each.foot for each in self._chains], 1].astype(np.float32).reshape(-1)
-        base = body.base()[:3, :3] * body.length
+        base = body.base_matrix()[:3, :3] * body.length
         self._base, self._length = base.astype(np.float32), np.float32(body.length)
         self._up = base[1].astype(np.float32)
         self._rest = (standing @ base * body.length).T.astype(np.float32)  # (3, J), axes of the definition
@@ -109,16 +111,18 @@ class Legs:
         """Return the axes float32[L, 3], in the definition's space, about which knees bend that are straight in a pose."""
         return np.concatenate([self._straight_axis(each) for each in self._chains], axis=1).T
 
-    def stance_weights(self, clips: Sequence[tuple[str, str] | Played], machines: Sequence[MachineClips], count: int) -> Floats:
+    def stance_weights(
+        self, clips: Sequence[tuple[str, str] | PlayedClip], machines: Sequence[MachineClips], count: int
+    ) -> Floats:
         """Return how strongly the feet of `count` agents are placed, float32[n] from 0 to 1. Clips that leave feet free lower it,
         by the layers and weights of their poses."""
         stands = np.ones(count, np.float32)
-        played = [Played(*each) for each in clips]
+        played = [PlayedClip(*each) for each in clips]
         free = np.array([each.clip in self._free for each in played] + [False])
         moves = np.array([not each.add and (not each.on or self._groups.get(each.on, False)) for each in played] + [False])
         for machine in machines:
             weight, loose = np.zeros(count, np.float32), np.zeros(count, np.float32)
-            for clip, _, share in machine.slots():
+            for clip, _, share in machine.clip_slots():
                 row = np.where((clip >= 0) & (clip < len(clips)), clip, len(clips))
                 heeded = np.maximum(np.nan_to_num(share), 0) * moves[row]
                 weight += heeded
@@ -132,15 +136,15 @@ class Legs:
         `local` is None."""
         world = np.array(poses.world.transpose(2, 3, 1, 0), np.float32, order="C")
         goals = self._goals(feet)
-        self._sink(world, goals, feet.down, stands)
+        self._lower_bodies(world, goals, feet.down, stands)
         for each, goal in zip(self._chains, goals, strict=True):
-            self._bend(world, each, goal, stands)
-        self._with_trunk(world, feet)
+            self._bend_leg(world, each, goal, stands)
+        self._move_trunk(world, feet)
         return replace(poses, world=world.transpose(3, 2, 0, 1), local=None)
 
     def _goals(self, feet: FeetOfBodies) -> list[Floats]:
         """Return the goal of each foot joint, float32[3, n], in the definition's space before the trunk moves."""
-        turn = _rotation(feet.tilt).astype(np.float32)
+        turn = _rotation_matrices(feet.tilt).astype(np.float32)
         goals = []
         for k in range(len(self._chains)):
             x, y, z = feet.place[:, k, 0], feet.place[:, k, 1] + self.soles[k] - feet.rise, feet.place[:, k, 2]
@@ -149,7 +153,7 @@ class Legs:
             goals.append(np.stack([(b[0, r] * q[0] + b[1, r] * q[1]) + b[2, r] * q[2] for r in range(3)]))
         return goals
 
-    def _sink(self, world: Floats, goals: list[Floats], down: NDArray[np.bool_], stands: Floats) -> None:
+    def _lower_bodies(self, world: Floats, goals: list[Floats], down: NDArray[np.bool_], stands: Floats) -> None:
         """Lower bodies until feet on the ground can reach it: the trunk of a clip may be too high for the stance."""
         most = np.zeros(len(stands), np.float32)
         for k, (each, goal) in enumerate(zip(self._chains, goals, strict=True)):
@@ -162,7 +166,7 @@ class Legs:
             most = np.maximum(most, np.where(down[:, k], short, 0))
         world[:, 3] -= self._up[:, None, None] * (most * stands)
 
-    def _bend(self, world: Floats, leg: Chain, goal: Floats, stands: Floats) -> None:
+    def _bend_leg(self, world: Floats, leg: Chain, goal: Floats, stands: Floats) -> None:
         hip, knee, foot = (world[:, 3, joint].copy() for joint in (leg.upper, leg.lower, leg.foot))
         sole = world[:, :, leg.sole].copy()
         goal = foot + (goal - foot) * stands
@@ -177,10 +181,10 @@ class Legs:
         old_sine, new_sine = np.sqrt(1 - old * old), np.sqrt(1 - new * new)
         axis = self._knee_axis(world, leg, thigh, shank, a * b)
         turn = _axis_rotation(axis, new * old + new_sine * old_sine, new_sine * old - new * old_sine)
-        _turn(world, np.concatenate([leg.shank, leg.sole]), turn, knee)
+        _turn_joints(world, np.concatenate([leg.shank, leg.sole]), turn, knee)
         reached = world[:, 3, leg.foot] - hip
-        turn = _onto(_unit(reached), _unit(hip_to_goal))
-        _turn(world, np.concatenate([leg.thigh, leg.shank, leg.sole]), turn, hip)
+        turn = _rotation_between(_unit(reached), _unit(hip_to_goal))
+        _turn_joints(world, np.concatenate([leg.thigh, leg.shank, leg.sole]), turn, hip)
         moved = world[:, 3, leg.foot] - foot
         world[:, :, leg.sole] = sole
         world[:, 3, leg.sole] += moved[:, None, :]
@@ -200,26 +204,26 @@ class Legs:
             rest = _cross(self._front[:, None], hip - foot)  # a knee that bends to the front
         return rest
 
-    def _with_trunk(self, world: Floats, feet: FeetOfBodies) -> None:
+    def _move_trunk(self, world: Floats, feet: FeetOfBodies) -> None:
         """Move all joints by `rise` and `tilt`, in place."""
-        base, turn = self._base, _rotation(feet.tilt)
+        base, turn = self._base, _rotation_matrices(feet.tilt)
         half = [
             [(turn[a, 0] * base[0, s] + turn[a, 1] * base[1, s]) + turn[a, 2] * base[2, s] for s in range(3)] for a in range(3)
         ]
         own = np.array([
             [(base[0, r] * half[0][s] + base[1, r] * half[1][s]) + base[2, r] * half[2][s] for s in range(3)] for r in range(3)
         ], np.float32)  # fmt: skip
-        _turn(world, np.arange(world.shape[2]), own, np.zeros((3, len(feet.rise)), np.float32))
+        _turn_joints(world, np.arange(world.shape[2]), own, np.zeros((3, len(feet.rise)), np.float32))
         world[:, 3] += base[1][:, None, None] * (feet.rise * self._length)
 
 
-def _rotation(quaternions: NDArray[np.floating]) -> Numbers:
+def _rotation_matrices(quaternions: NDArray[np.floating]) -> Numbers:
     """Return matrices float64[3, 3, n] of quaternions [n, 4]; a zero quaternion gives no rotation."""
-    q = normalised(np.array(np.asarray(quaternions, np.float64).T, order="C"))
-    return composed(np.zeros((3, q.shape[1])), q, None, None, np.empty((3, 4, q.shape[1])))[:, :3]
+    q = normalise(np.array(np.asarray(quaternions, np.float64).T, order="C"))
+    return compose_matrices(np.zeros((3, q.shape[1])), q, None, None, np.empty((3, 4, q.shape[1])))[:, :3]
 
 
-def _turn(world: Floats, joints: Joints, turn: Floats, pivots: Floats) -> None:
+def _turn_joints(world: Floats, joints: Joints, turn: Floats, pivots: Floats) -> None:
     """Turns joints by matrices [3, 3, n] about points [3, n], in place."""
     old = world[:, :, joints]
     old[:, 3] -= pivots[:, None]
@@ -240,7 +244,7 @@ def _axis_rotation(axis: Floats, cosine: Floats, sine: Floats) -> Floats:
     ])  # fmt: skip
 
 
-def _onto(a: Floats, b: Floats) -> Floats:
+def _rotation_between(a: Floats, b: Floats) -> Floats:
     """Matrices [3, 3, n] that turn unit vectors a to b by the shortest way."""
     axis, cosine = _cross(a, b), _dot(a, b)
     x, y, z = axis

@@ -40,7 +40,7 @@ class MachineClips:
         row_parts: list[Any] = [None if part is None else part[chosen] for part in parts]
         return MachineClips(*row_parts)
 
-    def slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
+    def clip_slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
         """Yield clips, turns and shares of the pose float32[n], from the clip that fades out first to the current one."""
         fade = np.clip(self.fade, 0, 1)
         if self.earlier is None or self.earlier_turns is None or self.earlier_weight is None or self.earlier_fade is None:
@@ -57,7 +57,7 @@ EARLIER = ("earlier", "earlier_turns", "earlier_weight", "earlier_fade")
 FIELDS = ("clip", "turns", "weight", "before", "before_turns", "before_weight", "fade", *EARLIER)
 
 
-class Played(NamedTuple):
+class PlayedClip(NamedTuple):
     """A clip that a line of a state plays on the joints of a transform group ("": the whole rig). With `add` its differences from
     the rest pose are added over all others. `left`, `right`, `up` and `down`: the clips that replace it as an agent turns, climbs
     or descends, "" for none."""
@@ -83,8 +83,8 @@ class _Slot:
     groups: NDArray[np.int64]
 
 
-def machines_playing(
-    table: ClipTable, clips: Sequence[tuple[str, str] | Played], machines: Sequence[MachineClips], count: int,
+def playing_of_machines(
+    table: ClipTable, clips: Sequence[tuple[str, str] | PlayedClip], machines: Sequence[MachineClips], count: int,
     lean: Floats | None = None,
 ) -> Playing:  # fmt: skip
     """Return what `count` agents play. `clips`: what their states play; a name that the table lacks means no clip. `lean`
@@ -92,7 +92,7 @@ def machines_playing(
 
     A machine's layer is the mean of its clips by fade and weight. It covers the layers of the machines before it by its total
     weight; where it fades out to nothing, they show. Additive clips lie over all of them, in the order of machines."""
-    played = [Played(*each) for each in clips]
+    played = [PlayedClip(*each) for each in clips]
     groups = ["", *sorted({each.on for each in played} - {""})]
     slots = [
         slot
@@ -125,21 +125,21 @@ def machines_playing(
 
 
 def _slots(
-    table: ClipTable, played: Sequence[Played], groups: Sequence[str], number: int, machine: MachineClips, lean: Floats | None
+    table: ClipTable, played: Sequence[PlayedClip], groups: Sequence[str], number: int, machine: MachineClips, lean: Floats | None
 ) -> Iterator[_Slot]:
     """Yield the clips that a machine plays; additive ones are separate slots."""
     names = [(each.clip, each.left, each.right, each.up, each.down) for each in played]
-    numbers = np.array([[_number(table, name) for name in row] for row in (*names, ("",) * 5)], np.int32)
+    numbers = np.array([[_clip_number(table, name) for name in row] for row in (*names, ("",) * 5)], np.int32)
     seconds = np.array([[table.duration(n) if n != REST else 0.0 for n in row] for row in numbers])
     loops = np.array([bool(table.loops[n + 1]) for n in numbers[:, 0]])
     group_of = np.array([groups.index(each.on) for each in played] + [0])
     adds = np.array([each.add for each in played] + [False])
-    parts = list(machine.slots())
+    parts = list(machine.clip_slots())
     for clip, turns, weight in parts if parts[0][2].any() else parts[1:]:  # seldom do three clips play at once
         row = np.where((clip >= 0) & (clip < len(played)), clip, len(played))
         exact = turns.astype(np.float64)
         far = np.where(loops[row], exact - np.floor(exact), np.minimum(exact, 1.0))
-        for side, share in enumerate(_shares(numbers[row], lean)):
+        for side, share in enumerate(_lean_shares(numbers[row], lean)):
             if share is None:
                 continue
             for add in (False, True) if adds.any() else (False,):
@@ -149,7 +149,7 @@ def _slots(
                 )  # fmt: skip
 
 
-def _shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
+def _lean_shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats | None]:
     """Yield the share of each agent's clip itself and of its variants to the left, to the right, up and down, [n] each. A variant
     that no agent uses gives None."""
     ones = np.ones(len(numbers), np.float32)
@@ -164,5 +164,5 @@ def _shares(numbers: NDArray[np.int32], lean: Floats | None) -> Iterator[Floats 
         yield np.ascontiguousarray(side_share) if side_share.any() else None
 
 
-def _number(table: ClipTable, name: str) -> int:
+def _clip_number(table: ClipTable, name: str) -> int:
     return table.names.index(name) if name in table.names else REST

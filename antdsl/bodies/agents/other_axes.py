@@ -8,47 +8,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Clip, Definition, Layer, Shape
-from antdsl.bodies.agents.transforms import followed_by, matrix_of, parts_of
+from antdsl.bodies.agents.transforms import compose_transforms, matrix_of, parts_of
 
 Axis = tuple[float, float, float]
 Floats = NDArray[np.float64]
 
 
-def in_axes(body: Definition, front: Axis, up: Axis, unit: float) -> Definition:
+def convert_axes(body: Definition, front: Axis, up: Axis, unit: float) -> Definition:
     """Return the definition with other axes of its front and up (both along coordinate axes), and `unit` millimetres per unit of
     length. All of its local space is transformed alike. So joints have the same names, and posed points the same positions in a
     scene up to the last digits of float32."""
-    turn = _frame(front, up) @ _frame(body.front, body.up).T
+    turn = _axis_frame(front, up) @ _axis_frame(body.front, body.up).T
     size = body.unit / unit
     if size == 1.0 and (turn == np.eye(3)).all():
         return replace(body, front=front, up=up)
     change = np.eye(4)
     change[:3, :3] = turn * size
     back: Floats = np.linalg.inv(change).astype(np.float64)
-    clips = {name: _clip(each, change, back) for name, each in body.clips.items()}
-    rest = followed_by(followed_by(np.broadcast_to(change, body.rig.rest.shape), body.rig.rest), back)
+    clips = {name: _convert_clip(each, change, back) for name, each in body.clips.items()}
+    rest = compose_transforms(compose_transforms(np.broadcast_to(change, body.rig.rest.shape), body.rig.rest), back)
     return replace(
         body, rig=replace(body.rig, rest=rest),
         clips={name: replace(each, stride=each.stride * size) for name, each in clips.items()},
-        shapes={name: _shape(each, change, back) for name, each in body.shapes.items()},
-        layers={name: _layer(each, np.abs(turn)) for name, each in body.layers.items()},
+        shapes={name: _convert_shape(each, change, back) for name, each in body.shapes.items()},
+        layers={name: _convert_layer(each, np.abs(turn)) for name, each in body.layers.items()},
         gaits=tuple(replace(g, speed=g.speed * size, stride=g.stride * size, lift=g.lift * size) for g in body.gaits),
         front=front, up=up, length=body.length * size, unit=unit,
     )  # fmt: skip
 
 
-def _frame(front: Axis, up: Axis) -> Floats:
+def _axis_frame(front: Axis, up: Axis) -> Floats:
     ahead, above = np.array(front, np.float64), np.array(up, np.float64)
     return np.stack([ahead, above, np.cross(ahead, above)], axis=1)
 
 
-def _clip(clip: Clip, change: Floats, back: Floats) -> Clip:
+def _convert_clip(clip: Clip, change: Floats, back: Floats) -> Clip:
     if not clip.joints:
         return clip
     move, turn, scale = (each.astype(np.float64) for each in (clip.translation, clip.rotation, clip.scale))
     matrices = matrix_of(move, turn, scale, None if clip.shear is None else clip.shear.astype(np.float64))
-    new_matrices = followed_by(
-        followed_by(np.broadcast_to(change, matrices.shape), matrices), np.broadcast_to(back, matrices.shape)
+    new_matrices = compose_transforms(
+        compose_transforms(np.broadcast_to(change, matrices.shape), matrices), np.broadcast_to(back, matrices.shape)
     )
     move, _, scale, shear = parts_of(new_matrices)
     axis = change[:3, :3] / np.abs(np.linalg.det(change[:3, :3])) ** (1 / 3)
@@ -60,19 +60,19 @@ def _clip(clip: Clip, change: Floats, back: Floats) -> Clip:
     )  # fmt: skip
 
 
-def _shape(shape: Shape, change: Floats, back: Floats) -> Shape:
+def _convert_shape(shape: Shape, change: Floats, back: Floats) -> Shape:
     axis = change[:3, :3] / np.abs(np.linalg.det(change[:3, :3])) ** (1 / 3)
     capture = shape.capture
     if capture is not None:
-        inverse = followed_by(np.broadcast_to(change, capture.inverse.shape), capture.inverse)
-        capture = replace(capture, inverse=followed_by(inverse, np.broadcast_to(back, inverse.shape)))
+        inverse = compose_transforms(np.broadcast_to(change, capture.inverse.shape), capture.inverse)
+        capture = replace(capture, inverse=compose_transforms(inverse, np.broadcast_to(back, inverse.shape)))
     return replace(
         shape, points=(shape.points @ change[:3, :3].T).astype(np.float32), capture=capture,
         normals=None if shape.normals is None else (shape.normals @ axis.T).astype(np.float32),
     )  # fmt: skip
 
 
-def _layer(layer: Layer, which: Floats) -> Layer:
+def _convert_layer(layer: Layer, which: Floats) -> Layer:
     """Return a layer with bounds scales permuted to the new axes."""
 
     def turned(scale: tuple[float, float, float]) -> tuple[float, float, float]:

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import (
-    Between,
     Binding,
     Blend,
     BodyError,
@@ -26,6 +25,7 @@ from antdsl.bodies.agents.definition import (
     Clip,
     Definition,
     Gait,
+    InBetweens,
     Layer,
     Leg,
     Rig,
@@ -39,7 +39,7 @@ PARTS = ("text", *KINDS)
 Arrays = dict[str, NDArray[Any]]
 
 
-def packed(body: Definition) -> Arrays:
+def pack_definition(body: Definition) -> Arrays:
     """The arrays `PARTS` of a definition; the same definition gives the same bytes."""
     flat: dict[str, list[NDArray[Any]]] = {kind: [] for kind in KINDS}
     used = dict.fromkeys(KINDS, 0)
@@ -99,18 +99,18 @@ def packed(body: Definition) -> Arrays:
 def digest(body: Definition) -> str:
     """Return a hash of all that `packed` stores of a definition. The definition must not change after it is built."""
     hasher = hashlib.blake2b(digest_size=16)
-    for name, array in packed(body).items():
+    for name, array in pack_definition(body).items():
         hasher.update(f"{name} {array.size} ".encode())
         hasher.update(array.astype(array.dtype.newbyteorder("<"), copy=False).tobytes())
     return hasher.hexdigest()
 
 
-def read_packed(arrays: Mapping[str, NDArray[Any]]) -> Definition:
+def unpack_definition(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     """The definition that `packed` made these arrays of: each place, type, shape and index is checked, but not that what one part
-    names is in another (`body_arrays.unpacked` of caches). Raises BodyError for any others: nothing in them is trusted."""
+    names is in another (`body_arrays.unpack_checked` of caches). Raises BodyError for any others: nothing in them is trusted."""
     try:
         definition = _read(arrays)
-        _bounds(definition)
+        _check_bounds(definition)
     except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError, RecursionError):
         raise BodyError("is damaged: what it says of a body does not hold together") from None
     return definition
@@ -154,7 +154,7 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
             None if each["material"] is None else get(each["material"], len(faces), kind="i4"),
             attributes, capture(each["capture"], len(points)),
             None if each["blend"] is None else blend(*each["blend"]),
-            None if each["between"] is None else Between(_texts(each["between"][0]), _numbers(each["between"][1])),
+            None if each["between"] is None else InBetweens(_texts(each["between"][0]), _numbers(each["between"][1])),
             _text(each["dual_quaternion_blend"]),
         )  # fmt: skip
 
@@ -185,7 +185,7 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         )  # fmt: skip
 
     def layer(each: Any) -> Layer:
-        bindings = [tuple(Binding(_text(b[0]), _text(b[1]), _three(b[2]), _text(b[3])) for b in part) for part in each[1]]
+        bindings = [tuple(Binding(_text(b[0]), _text(b[1]), _triple(b[2]), _text(b[3])) for b in part) for part in each[1]]
         return Layer(_text(each[0]), *bindings)
 
     names, parents, rest, channels = said["rig"]
@@ -201,8 +201,8 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
         _text(said["name"]), rig,
         {each.name: each for each in map(shape, said["shapes"])}, {each.name: each for each in map(layer, said["layers"])},
         {each.name: each for each in map(clip, said["clips"])}, {each.name: each for each in groups}, {},
-        {_text(name): _three(colour) for name, colour in said["materials"].items()},
-        _three(said["front"]), _three(said["up"]), _number(said["length"]), _number(said["unit"]),
+        {_text(name): _triple(colour) for name, colour in said["materials"].items()},
+        _triple(said["front"]), _triple(said["up"]), _number(said["length"]), _number(said["unit"]),
         tuple(Leg(*map(_text, each)) for each in said["legs"]), tuple(_gait(*each) for each in said["gaits"]),
         _text(said["idle"]), _variation(*said.get("variation", ({}, {}))),
     )  # fmt: skip
@@ -210,7 +210,7 @@ def _read(arrays: Mapping[str, NDArray[Any]]) -> Definition:
 
 def _variation(scales: Any, materials: Any) -> Variation:
     ranges = {_text(name): _numbers(ends) for name, ends in scales.items()}
-    colours = {_text(name): tuple(map(_three, choices)) for name, choices in materials.items()}
+    colours = {_text(name): tuple(map(_triple, choices)) for name, choices in materials.items()}
     if any(len(ends) != 2 or not 0 < ends[0] <= ends[1] for ends in ranges.values()) or any(len(c) < 2 for c in colours.values()):
         raise ValueError
     return Variation({name: (ends[0], ends[1]) for name, ends in ranges.items()}, colours)
@@ -220,7 +220,7 @@ def _gait(name: Any, speed: Any, stride: Any, duty: Any, lift: Any, phases: Any)
     return Gait(_text(name), _number(speed), _number(stride), _number(duty), _number(lift), _numbers(phases))
 
 
-def _bounds(body: Definition) -> None:
+def _check_bounds(body: Definition) -> None:
     """Raise ValueError if numbers of a definition are out of range or not finite."""
     rig, count = body.rig, len(body.rig.names)
     fits = [
@@ -229,13 +229,13 @@ def _bounds(body: Definition) -> None:
         bool((rig.parents >= -1).all() and (rig.parents < np.arange(count)).all() and np.isfinite(rig.rest).all()),
         body.length > 0,
         len(body.legs) <= limits.LEGS and len({leg.name for leg in body.legs}) == len(body.legs),
-        len(body.gaits) <= limits.GAITS and all(_walks(gait) for gait in body.gaits),
+        len(body.gaits) <= limits.GAITS and all(_is_valid_gait(gait) for gait in body.gaits),
     ]
     for shape in body.shapes.values():
-        fits += [_within(shape.faces, len(shape.points)), bool(np.isfinite(shape.points).all())]
-        fits += [shape.material is None or _within(shape.material, len(shape.materials))]
+        fits += [_is_within(shape.faces, len(shape.points)), bool(np.isfinite(shape.points).all())]
+        fits += [shape.material is None or _is_within(shape.material, len(shape.materials))]
         if shape.capture is not None:
-            fits += [_within(shape.capture.joints, len(shape.capture.names)), shape.capture.joints.shape[1] <= limits.CAPTURED]
+            fits += [_is_within(shape.capture.joints, len(shape.capture.names)), shape.capture.joints.shape[1] <= limits.CAPTURED]
             fits += [bool(np.isfinite(shape.capture.weights).all() and np.isfinite(shape.capture.inverse).all())]
     for clip in body.clips.values():
         arrays = [each for each in (clip.translation, clip.rotation, clip.scale, clip.shear, clip.values) if each is not None]
@@ -246,12 +246,12 @@ def _bounds(body: Definition) -> None:
         raise ValueError
 
 
-def _walks(gait: Gait) -> bool:
+def _is_valid_gait(gait: Gait) -> bool:
     low, high = limits.DUTY
     return gait.speed >= 0 and gait.stride >= limits.LEAST_STRIDE and low <= gait.duty <= high and gait.lift >= 0
 
 
-def _within(numbers: NDArray[Any], count: int) -> bool:
+def _is_within(numbers: NDArray[Any], count: int) -> bool:
     return bool(((numbers >= 0) & (numbers < count)).all())
 
 
@@ -271,7 +271,7 @@ def _numbers(values: Any) -> tuple[float, ...]:
     return tuple(_number(each) for each in values)
 
 
-def _three(values: Any) -> tuple[float, float, float]:
+def _triple(values: Any) -> tuple[float, float, float]:
     x, y, z = _numbers(values)
     return x, y, z
 

@@ -15,7 +15,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import Floats, composed, decomposed, inverse_transposed, normalised, times
+from antdsl.bodies.agents.affine import (
+    Floats,
+    compose_matrices,
+    decompose_matrices,
+    inverse_transposed,
+    multiply_matrices,
+    normalise,
+)
 from antdsl.bodies.agents.definition import Clip, Definition, Rig, TransformGroup
 
 REST = -1  # the number of no clip: the rest pose, and the defaults of channels
@@ -46,14 +53,14 @@ class Poses:
     channels: Floats
 
 
-def sampled(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]) -> Pose:
+def sample_poses(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floating]) -> Pose:
     """Return the pose of each of n agents in its own clip, int[n], at its own time in seconds, [n].
 
     A clip that loops is periodic, before time 0 too; any other clip holds its first and its last sample. Clip -1 is the rest
     pose. A time that is not finite counts as 0. Raises IndexError for a clip number out of range."""
     row, next_row, share = _sample_rows(table, clips, times)
     if not len(table.order) + len(table.rig.channels):
-        return _pose(table, np.empty((0, len(row)), np.float32))
+        return _split_rows(table, np.empty((0, len(row)), np.float32))
     samples = table.samples.take(row, axis=0)
     step = table.samples.take(next_row, axis=0)
     step -= samples
@@ -61,15 +68,15 @@ def sampled(table: ClipTable, clips: NDArray[np.integer], times: NDArray[np.floa
     samples += step
     turned = np.empty(samples.shape[::-1], np.float32)
     turned[:] = samples.T
-    pose = _pose(table, turned)
-    normalised(pose.rotation)
+    pose = _split_rows(table, turned)
+    normalise(pose.rotation)
     return pose
 
 
 def rest_pose(table: ClipTable, count: int) -> Pose:
     """Return the rest pose for `count` agents, as read-only arrays."""
-    pose = _pose(table, np.broadcast_to(table.samples[0][:, None], (table.samples.shape[1], 1)).copy())
-    normalised(pose.rotation)
+    pose = _split_rows(table, np.broadcast_to(table.samples[0][:, None], (table.samples.shape[1], 1)).copy())
+    normalise(pose.rotation)
     wide = [None if a is None else np.broadcast_to(a, (*a.shape[:-1], count)) for a in (pose.scale, pose.shear)]
     return Pose(
         np.broadcast_to(pose.translation, (*pose.translation.shape[:-1], count)),
@@ -81,15 +88,15 @@ def rest_pose(table: ClipTable, count: int) -> Pose:
 def transforms(table: ClipTable, pose: Pose) -> tuple[Floats, Floats]:
     """Local and world matrices of poses, float32[3, 4, J, n] each, joints in the order of the table."""
     shape = (3, 4, *pose.rotation.shape[1:])
-    local = composed(pose.translation, pose.rotation, pose.scale, pose.shear, np.empty(shape, np.float32))
-    return local, _placed(table, local)
+    local = compose_matrices(pose.translation, pose.rotation, pose.scale, pose.shear, np.empty(shape, np.float32))
+    return local, _world_matrices(table, local)
 
 
 def world_transforms(table: ClipTable, local: Floats) -> Floats:
     """Return world transforms float32[n, J, 3, 4] of local ones, joints in the order of the rig. For transforms that are not a
     clip's, such as those of legs after inverse kinematics or of a head that looks at something."""
     world = np.empty((3, 4, local.shape[1], len(local)), np.float32)
-    world[:, :, table.order] = _placed(table, local.transpose(2, 3, 1, 0)[:, :, table.order])
+    world[:, :, table.order] = _world_matrices(table, local.transpose(2, 3, 1, 0)[:, :, table.order])
     return world.transpose(3, 2, 0, 1)
 
 
@@ -104,11 +111,11 @@ def local_transforms(table: ClipTable, world: Floats) -> Floats:
     back[:, :3] = inverse_transposed(above).transpose(1, 0, 2, 3)
     for r in range(3):
         back[r, 3] = -((back[r, 0] * above[0, 3] + back[r, 1] * above[1, 3]) + back[r, 2] * above[2, 3])
-    local[:, :, children] = times(back, placed[:, :, children], np.empty(above.shape, np.float32))
+    local[:, :, children] = multiply_matrices(back, placed[:, :, children], np.empty(above.shape, np.float32))
     return local.transpose(3, 2, 0, 1)
 
 
-def square(matrices: Floats) -> Floats:
+def square_matrices(matrices: Floats) -> Floats:
     """Return matrices float32[…, 4, 4] from matrices of three rows, each agent contiguous: for column vectors, as everywhere
     here."""
     squares = np.zeros((*matrices.shape[:-2], 4, 4), np.float32)
@@ -117,7 +124,7 @@ def square(matrices: Floats) -> Floats:
     return squares
 
 
-def _placed(table: ClipTable, local: Floats) -> Floats:
+def _world_matrices(table: ClipTable, local: Floats) -> Floats:
     """Return world matrices [3, 4, J, n] of local ones, joints in the order of the table. Computed by depth of the rig: each
     joint's is its parent's times its own."""
     world = np.empty(local.shape, np.float32)
@@ -125,7 +132,7 @@ def _placed(table: ClipTable, local: Floats) -> Floats:
         if not len(parents):
             world[:, :, begin:end] = local[:, :, begin:end]
         else:
-            times(world[:, :, parents], local[:, :, begin:end], world[:, :, begin:end])
+            multiply_matrices(world[:, :, parents], local[:, :, begin:end], world[:, :, begin:end])
     return world
 
 
@@ -147,7 +154,7 @@ def _sample_rows(
     return row, np.minimum(row + 1, table.first[clip] + last), (at - lower_sample).astype(np.float32)
 
 
-def _pose(table: ClipTable, rows: Floats) -> Pose:
+def _split_rows(table: ClipTable, rows: Floats) -> Pose:
     """The parts of rows [W, n] of a table."""
     joints, n = len(table.order), rows.shape[1]
     at, parts = 0, []
@@ -208,16 +215,16 @@ def clip_table(definition: Definition) -> ClipTable:
     """Build the table of a definition's clips. Joints and channels of clips that the rig does not have are left out: clips are
     shared between rigs. Raises ValueError if arrays of a clip do not match each other, or if the rig's tree has a cycle."""
     rig = definition.rig
-    order, levels = _by_depth(rig)
+    order, levels = _depth_order(rig)
     clips = tuple(definition.clips.values())
-    rest = decomposed(rig.rest)
+    rest = decompose_matrices(rig.rest)
     rest[3][np.abs(rest[3]) < 1e-7] = 0  # what is left of rounding is no shear
     scaled = bool((np.abs(rest[2] - 1) > 1e-6).any()) or any((clip.scale != 1).any() for clip in clips)
     sheared = bool(rest[3].any()) or any(clip.shear is not None and clip.shear.any() for clip in clips)
     rest_parts = [*rest[:2], *([rest[2]] if scaled else []), *([rest[3]] if sheared else [])]
-    blocks = [_row(rig, rest_parts, order)]
+    blocks = [_rest_row(rig, rest_parts, order)]
     for clip in clips:
-        blocks.append(_rows(clip, rig, rest_parts, order, scaled, sheared))
+        blocks.append(_clip_rows(clip, rig, rest_parts, order, scaled, sheared))
     counts = np.array([len(block) for block in blocks], np.int64)
     return ClipTable(
         rig, tuple(definition.clips), np.concatenate(blocks), np.concatenate([[0], np.cumsum(counts)[:-1]]), counts,
@@ -226,7 +233,7 @@ def clip_table(definition: Definition) -> ClipTable:
     )  # fmt: skip
 
 
-def _by_depth(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, NDArray[np.intp]], ...]]:
+def _depth_order(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, NDArray[np.intp]], ...]]:
     """The joints of a rig by their depth, and where each depth begins and ends."""
     parents = np.asarray(rig.parents, np.intp)
     depth, above = np.zeros(len(parents), np.intp), parents.copy()
@@ -246,11 +253,13 @@ def _by_depth(rig: Rig) -> tuple[NDArray[np.intp], tuple[tuple[int, int, NDArray
     return order, levels
 
 
-def _row(rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp]) -> Floats:
+def _rest_row(rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp]) -> Floats:
     return np.concatenate([*(part[:, order].reshape(-1) for part in rest), rig.defaults]).astype(np.float32)[None]
 
 
-def _rows(clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp], scaled: bool, sheared: bool) -> Floats:
+def _clip_rows(
+    clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[np.intp], scaled: bool, sheared: bool
+) -> Floats:
     """Return the rows of a clip: its samples where it has some, else the rest pose."""
     count = clip.samples
     if count < 1 or not clip.rate > 0:
@@ -271,7 +280,7 @@ def _rows(clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[
             raise ValueError(f"clip `{clip.name}` has an array {part.shape} where {expected_shapes[place]} is needed")
         if known:
             rig_parts[place][:, :, rig_joints] = np.moveaxis(part.astype(np.float64)[:, clip_joints], 2, 1)
-    rig_parts[1] = _shorter(normalised(np.moveaxis(rig_parts[1], 1, 0)), rest[1])
+    rig_parts[1] = _align_signs(normalise(np.moveaxis(rig_parts[1], 1, 0)), rest[1])
     values = np.repeat(rig.defaults[None], count, 0)
     names = {each.name: number for number, each in enumerate(rig.channels)}
     for place, name in enumerate(clip.channels):
@@ -281,7 +290,7 @@ def _rows(clip: Clip, rig: Rig, rest: list[NDArray[np.float64]], order: NDArray[
     return np.concatenate([*rows, values], axis=1).astype(np.float32)
 
 
-def _shorter(rotation: NDArray[np.float64], rest: NDArray[np.float64]) -> NDArray[np.float64]:
+def _align_signs(rotation: NDArray[np.float64], rest: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return quaternions [4, F, J] as [F, 4, J] with continuous signs. Each sample has the sign nearest to the sample before it,
     the first the sign nearest to the rest [4, J]. So interpolation takes the shorter path without a test, and clips seldom need a
     change of sign."""

@@ -19,7 +19,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import Floats, Numbers, inverse_transposed, product, quaternions, rotation_part, times
+from antdsl.bodies.agents.affine import (
+    Floats,
+    Numbers,
+    inverse_transposed,
+    multiply_matrices,
+    quaternion_product,
+    quaternions,
+    rotation_part,
+)
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.poses import Poses
 
@@ -34,9 +42,9 @@ class Deformed:
     attributes: dict[str, Floats]
 
 
-def linear(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+def linear_skinning(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
     """Linear blend skinning. Raises ValueError for a shape without a capture, KeyError for joints that the rig does not have."""
-    joints, weights, matrices = _captured(shape, definition, poses)
+    joints, weights, matrices = _joint_transforms(shape, definition, poses)
     x, y, z = _components(deformed.points)
     points = np.empty((3, len(joints), matrices.shape[-1]), np.float32)
     for r in range(3):
@@ -48,23 +56,23 @@ def linear(deformed: Deformed, shape: Shape, definition: Definition, poses: Pose
     return Deformed(points.transpose(2, 1, 0), normals, deformed.attributes)
 
 
-def dual_quaternion(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
+def dual_quaternion_skinning(deformed: Deformed, shape: Shape, definition: Definition, poses: Poses) -> Deformed:
     """Dual quaternion skinning in two phases. Raises as `linear`."""
-    joints, weights, matrices = _captured(shape, definition, poses)
+    joints, weights, matrices = _joint_transforms(shape, definition, poses)
     rotation = rotation_part(matrices)
-    rest = _rest_of(rotation, matrices)
+    rest = _remove_rotation(rotation, matrices)
     real = quaternions(rotation)
     moved = np.concatenate([matrices[:, 3], np.zeros_like(matrices[:1, 3])])
-    dual = (0.5 * product(moved.astype(np.float64), real)).astype(np.float32)
-    turn, shift = _blended(real.astype(np.float32), dual, joints, weights)
-    points = apply(_means(rest, joints, weights), deformed.points)
+    dual = (0.5 * quaternion_product(moved.astype(np.float64), real)).astype(np.float32)
+    turn, shift = _blend_dual_quaternions(real.astype(np.float32), dual, joints, weights)
+    points = transform_points(_means(rest, joints, weights), deformed.points)
     turn_points(points, turn)
     points += shift
     normals = None
     if deformed.normals is not None:
-        across = apply(_means(inverse_transposed(rest), joints, weights), deformed.normals)
+        across = transform_points(_means(inverse_transposed(rest), joints, weights), deformed.normals)
         turn_points(across, turn)
-        normals = unit(across).transpose(2, 1, 0)
+        normals = normalise_in_place(across).transpose(2, 1, 0)
     return Deformed(points.transpose(2, 1, 0), normals, deformed.attributes)
 
 
@@ -75,16 +83,19 @@ def dual_quaternion_blend(deformed: Deformed, shape: Shape, definition: Definiti
     if name not in shape.attributes:
         raise ValueError(f"shape `{shape.name}` has no point attribute `{name}` (deformDualQuaternionBlendAttrib) to blend by")
     share = shape.attributes[name].astype(np.float32).reshape(-1)[None, :, None]
-    straight, turned_ = linear(deformed, shape, definition, poses), dual_quaternion(deformed, shape, definition, poses)
+    straight, turned_ = (
+        linear_skinning(deformed, shape, definition, poses),
+        dual_quaternion_skinning(deformed, shape, definition, poses),
+    )
     points = straight.points + (turned_.points - straight.points) * share
     normals = None
     if straight.normals is not None and turned_.normals is not None:
         mixed = straight.normals + (turned_.normals - straight.normals) * share
-        normals = unit(mixed.transpose(2, 1, 0)).transpose(2, 1, 0)
+        normals = normalise_in_place(mixed.transpose(2, 1, 0)).transpose(2, 1, 0)
     return Deformed(points, normals, deformed.attributes)
 
 
-def apply(matrices: Numbers, points: Floats) -> Floats:
+def transform_points(matrices: Numbers, points: Floats) -> Floats:
     """Return points [n, P, 3] transformed by matrices [3, 3 or 4, P, n], as [3, P, n]; matrices of three columns transform
     directions."""
     x, y, z = _components(points)
@@ -96,10 +107,10 @@ def apply(matrices: Numbers, points: Floats) -> Floats:
 
 def turned(normals: Floats, matrices: Numbers) -> Floats:
     """Return normals [n, P, 3] transformed by matrices [3, 3, P, n], normalised."""
-    return unit(apply(matrices, normals)).transpose(2, 1, 0)
+    return normalise_in_place(transform_points(matrices, normals)).transpose(2, 1, 0)
 
 
-def unit(vectors: Floats) -> Floats:
+def normalise_in_place(vectors: Floats) -> Floats:
     """Normalise vectors [3, …] in place; those of length 0 stay."""
     x, y, z = vectors
     length = np.sqrt((x * x + y * y) + z * z)
@@ -121,7 +132,7 @@ def turn_points(points: Floats, rotation: Floats) -> None:
     points[2] = z + two * (qx * uy - qy * ux)
 
 
-def _captured(shape: Shape, definition: Definition, poses: Poses) -> tuple[NDArray[np.intp], Floats, Floats]:
+def _joint_transforms(shape: Shape, definition: Definition, poses: Poses) -> tuple[NDArray[np.intp], Floats, Floats]:
     """Return the joints [P, K] of the capture, their weights [P, K], and the transform of each captured joint, float32[3, 4,
     joints, n]."""
     capture = shape.capture
@@ -134,7 +145,7 @@ def _captured(shape: Shape, definition: Definition, poses: Poses) -> tuple[NDArr
     world = poses.world.transpose(2, 3, 1, 0)[:, :, [numbers[name] for name in capture.names]]
     inverse = np.ascontiguousarray(np.moveaxis(capture.inverse[:, :3], 0, -1), np.float32)[..., None]
     used = int(np.flatnonzero((capture.weights != 0).any(axis=0)).max(initial=0)) + 1
-    matrices = times(world, inverse, np.empty(world.shape, np.float32))
+    matrices = multiply_matrices(world, inverse, np.empty(world.shape, np.float32))
     return capture.joints[:, :used].astype(np.intp), capture.weights[:, :used].astype(np.float32), matrices
 
 
@@ -160,7 +171,7 @@ def _means(matrices: Floats, joints: NDArray[np.intp], weights: Floats) -> Float
     return np.stack([np.stack([_mean(each, joints, weights) for each in row]) for row in matrices])
 
 
-def _rest_of(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
+def _remove_rotation(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
     """Return the remainder of matrices M without their rotation R: S = R⁻¹ M, float32[3, 3, joints, n]."""
     m = matrices[:, :3].astype(np.float64)
     rest = np.empty(m.shape, np.float32)
@@ -170,7 +181,7 @@ def _rest_of(rotation: NDArray[np.float64], matrices: Floats) -> Floats:
     return rest
 
 
-def _blended(real: Floats, dual: Floats, joints: NDArray[np.intp], weights: Floats) -> tuple[Floats, Floats]:
+def _blend_dual_quaternions(real: Floats, dual: Floats, joints: NDArray[np.intp], weights: Floats) -> tuple[Floats, Floats]:
     """The rotation [4, P, n] and the translation [3, P, n] of the mean of dual quaternions of joints [4, joints, n] each."""
     most = joints[np.arange(len(joints)), weights.argmax(axis=1)]
     pivot = real.take(most, axis=1)

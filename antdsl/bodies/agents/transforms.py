@@ -51,9 +51,9 @@ def unit_quaternion(quaternion: Floats) -> Floats:
     return np.where(known, quaternion / np.where(known, length, 1.0), np.array([0.0, 0.0, 0.0, 1.0]))
 
 
-def product(a: Floats, b: Floats) -> Floats:
+def rotation_product(a: Floats, b: Floats) -> Floats:
     """The rotation `b` and then `a`, as quaternions float64[..., 4]."""
-    return np.moveaxis(affine.product(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), 0, -1)
+    return np.moveaxis(affine.quaternion_product(np.moveaxis(a, -1, 0), np.moveaxis(b, -1, 0)), 0, -1)
 
 
 def rotation_of_angles(angles: Floats, order: str) -> Floats:
@@ -65,8 +65,8 @@ def rotation_of_angles(angles: Floats, order: str) -> Floats:
         turn = np.zeros((*angles.shape[:-1], 4))
         half = np.ascontiguousarray(angles[..., axis] / 2)
         turn[..., axis], turn[..., 3] = wide_sin(half), wide_cos(half)
-        rotation = product(turn, rotation)
-    return one_sign(unit_quaternion(rotation))
+        rotation = rotation_product(turn, rotation)
+    return align_signs(unit_quaternion(rotation))
 
 
 def angles_of_rotation(quaternion: Floats) -> Floats:
@@ -79,7 +79,7 @@ def angles_of_rotation(quaternion: Floats) -> Floats:
     return np.stack([x, wide_atan2(-m[..., 2, 0], level), z], axis=-1)
 
 
-def one_sign(quaternion: Floats) -> Floats:
+def align_signs(quaternion: Floats) -> Floats:
     """Return quaternions float64[F, ..., 4] with continuous signs: each has the sign that is nearer to the one before it."""
     if quaternion.ndim < 2 or len(quaternion) < 2:
         return quaternion
@@ -88,7 +88,7 @@ def one_sign(quaternion: Floats) -> Floats:
     return np.concatenate([quaternion[:1], quaternion[1:] * signs[..., None]])
 
 
-def between_rotations(a: Floats, b: Floats, share: Floats) -> Floats:
+def slerp(a: Floats, b: Floats, share: Floats) -> Floats:
     """Return the rotation at `share` float64[...] of the shortest path from `a` to `b`, float64[..., 4], at constant speed
     (Shoemake, Animating Rotation with Quaternion Curves, 1985)."""
     b = np.where((a * b).sum(axis=-1, keepdims=True) < 0, -b, b)
@@ -109,7 +109,7 @@ def matrix_of(translation: Floats, rotation: Floats, scale: Floats, shear: Float
     matrices[:, 3, 3] = 1.0
     place, turn, size = (each.reshape(count, each.shape[-1]).T for each in (translation, rotation, scale))
     slant = None if shear is None else shear.reshape(count, 3).T
-    affine.composed(place, turn, size, slant, matrices[:, :3].transpose(1, 2, 0))
+    affine.compose_matrices(place, turn, size, slant, matrices[:, :3].transpose(1, 2, 0))
     return matrices.reshape(*translation.shape[:-1], 4, 4)
 
 
@@ -118,11 +118,11 @@ def parts_of(matrix: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     scale of z is negative for mirroring matrices; for singular ones the rotation is arbitrary."""
     x, y, z = (matrix[..., :3, column] for column in range(3))
     wide = _lengths(x)
-    first = _divided(x, wide, (1.0, 0.0, 0.0))
+    first = _normalise_or(x, wide, (1.0, 0.0, 0.0))
     xy = (first * y).sum(axis=-1)
     y = y - first * xy[..., None]
     high = _lengths(y)
-    second = _divided(y, high, (0.0, 1.0, 0.0))
+    second = _normalise_or(y, high, (0.0, 1.0, 0.0))
     second = second - first * (first * second).sum(axis=-1)[..., None]
     lone = _lengths(second) < 1e-6
     spare = np.cross(first, np.where(np.abs(first[..., :1]) < 0.7, np.array([1.0, 0, 0]), np.array([0, 0, 1.0])))
@@ -141,12 +141,12 @@ def _lengths(vectors: Floats) -> Floats:
     return np.asarray(np.sqrt((vectors * vectors).sum(axis=-1)))
 
 
-def _divided(vectors: Floats, lengths: Floats, otherwise: tuple[float, float, float]) -> Floats:
+def _normalise_or(vectors: Floats, lengths: Floats, otherwise: tuple[float, float, float]) -> Floats:
     known = lengths > 1e-30
     return np.where(known[..., None], vectors / np.where(known, lengths, 1.0)[..., None], np.array(otherwise))
 
 
-def followed_by(outer: Floats, inner: Floats) -> Floats:
+def compose_transforms(outer: Floats, inner: Floats) -> Floats:
     """Return the matrix float64[..., 4, 4] of `inner` followed by `outer`. Sums are explicit, so that every processor gives the
     same bits."""
     a, b = outer[..., :, :, None], inner[..., None, :, :]
@@ -160,5 +160,5 @@ def world_matrices(parents: NDArray[np.int32], local: Floats) -> Floats:
     """World matrices float64[J, 4, 4] of a rig's local ones, parents before children."""
     world = np.empty_like(local)
     for joint, parent in enumerate(parents):
-        world[joint] = local[joint] if parent < 0 else followed_by(world[parent], local[joint])
+        world[joint] = local[joint] if parent < 0 else compose_transforms(world[parent], local[joint])
     return world

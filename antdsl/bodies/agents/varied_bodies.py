@@ -15,16 +15,16 @@ from antdsl.numerics.randomness import uniform
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Draws:
+class VariationDraws:
     """The sources of random differences between the bodies of n agents: their ids int64[n], the scene's seed and the species."""
 
     ids: NDArray[np.int64]
     seed: int = 0
     species: str = ""
 
-    def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> Draws:
+    def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> VariationDraws:
         """The same of some agents."""
-        return Draws(self.ids[chosen], self.seed, self.species)
+        return VariationDraws(self.ids[chosen], self.seed, self.species)
 
     def of(self, what: str) -> Floats:
         """Return a number from 0 to 1 per agent, constant for its whole life: float32[n]."""
@@ -32,7 +32,7 @@ class Draws:
 
 
 def with_scales(
-    table: ClipTable, poses: Poses, variation: Variation, groups: Mapping[str, TransformGroup], draws: Draws | None
+    table: ClipTable, poses: Poses, variation: Variation, groups: Mapping[str, TransformGroup], draws: VariationDraws | None
 ) -> Poses:
     """Return poses with each transform group scaled to its agent's size. The group's uppermost joints, with their descendants,
     are scaled about their own positions, in proportion to their weights."""
@@ -42,7 +42,7 @@ def with_scales(
     for name in variation.scales:
         size = size_of(variation, name, draws)
         for joint, weight in scaled_joints(table.rig, groups[name]):
-            below = table.rig.below(joint)
+            below = table.rig.descendants(joint)
             factor = (1 + np.float32(weight) * (size - 1))[:, None, None]
             pivot = world[:, joint, :, 3].copy()
             for each in below:
@@ -51,7 +51,7 @@ def with_scales(
     return Poses(world, None, poses.channels)
 
 
-def size_of(variation: Variation, group: str, draws: Draws) -> Floats:
+def size_of(variation: Variation, group: str, draws: VariationDraws) -> Floats:
     """Return the scale of a transform group for each agent, float32[n]."""
     low, high = variation.scales[group]
     return np.float32(low) + np.float32(high - low) * draws.of(f"scale {group}")
@@ -61,16 +61,16 @@ def scaled_joints(rig: Rig, group: TransformGroup) -> Iterator[tuple[int, float]
     """Yield the uppermost joints of a transform group, the pivots of its scaling, with their weights."""
     members = {rig.joint(member): weight for member, weight in group.members}
     for joint, weight in members.items():
-        if not any(joint in rig.below(other) for other in members if other != joint):  # else it is scaled with that
+        if not any(joint in rig.descendants(other) for other in members if other != joint):  # else it is scaled with that
             yield joint, weight
 
 
-def place_of(variation: Variation, material: str, draws: Draws) -> Floats:
+def colour_position(variation: Variation, material: str, draws: VariationDraws) -> Floats:
     """Return the position of each agent's material on the path through its colours, counted from 0, float32[n]."""
     return draws.of(f"material {material}") * np.float32(len(variation.materials[material]) - 1)
 
 
-def colours_of(variation: Variation, draws: Draws | None, material: NDArray[np.str_], own: Floats) -> Floats:
+def colours_of(variation: Variation, draws: VariationDraws | None, material: NDArray[np.str_], own: Floats) -> Floats:
     """Return the linear colours float32[n, v, 3] of vertices with materials `material` [v] that may differ between agents; [1, v,
     3] if none differ. `own` [v, 3]: the colours of the definition."""
     varied = [name for name in variation.materials if (material == name).any()]
@@ -79,7 +79,7 @@ def colours_of(variation: Variation, draws: Draws | None, material: NDArray[np.s
     colours = np.repeat(own[None], len(draws.ids), axis=0)
     for name in varied:
         key_colours = np.array(variation.materials[name], np.float32)
-        at = place_of(variation, name, draws)
+        at = colour_position(variation, name, draws)
         first = np.minimum(at.astype(np.intp), len(key_colours) - 2)
         share = (at - first.astype(np.float32))[:, None]
         colours[:, material == name] = (key_colours[first] + (key_colours[first + 1] - key_colours[first]) * share)[:, None]

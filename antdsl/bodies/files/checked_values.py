@@ -41,15 +41,15 @@ class Values:
     def span(self, node: Node) -> Span:
         return Span(self.source, node.start, node.end)
 
-    def head(self, node: Node) -> Span:
+    def start_span(self, node: Node) -> Span:
         """Return the span of the first character of a value, for findings about the whole value."""
         return Span(self.source, node.start, node.start + 1)
 
-    def key(self, node: Node, key: str) -> Span:
-        return Span(self.source, *node.keys[key]) if key in node.keys else self.head(node)
+    def key_span(self, node: Node, key: str) -> Span:
+        return Span(self.source, *node.keys[key]) if key in node.keys else self.start_span(node)
 
-    def wrong(self, node: Node, expectation: str, help: str | None) -> None:
-        place = self.head(node) if isinstance(node.value, dict | list) else self.span(node)
+    def report_wrong(self, node: Node, expectation: str, help: str | None) -> None:
+        place = self.start_span(node) if isinstance(node.value, dict | list) else self.span(node)
         self.report.error("wrong-value", f"expected {expectation} here, not {kind_of(node)}", place, help)
 
     def object(
@@ -58,7 +58,7 @@ class Values:
         """Return the entries of an object. `needed`: required keys, with an example of what to write. An unknown key is an error,
         or a warning with `strict` False, where others may extend the form."""
         if not isinstance(node.value, dict):
-            self.wrong(node, f"{what}, which is an object `{{ … }}`,", None)
+            self.report_wrong(node, f"{what}, which is an object `{{ … }}`,", None)
             return None
         known, needed = list(known), needed or {}
         missing = [key for key in needed if key not in node.value]
@@ -70,19 +70,19 @@ class Values:
                 missing.remove(str(near))
             help = f'write `"{near}"`' if near else "known here: " + ", ".join(f"`{word}`" for word in known)
             say = self.report.error if strict or near in needed else self.report.warning
-            say("unknown-key", f"`{key[:60]}` is not a key of {what}", self.key(node, key), help)
+            say("unknown-key", f"`{key[:60]}` is not a key of {what}", self.key_span(node, key), help)
         for key in missing:
-            self.report.error("missing-key", f"{what} has no `{key}`", self.head(node), f'add `"{key}": {needed[key]}`')
+            self.report.error("missing-key", f"{what} has no `{key}`", self.start_span(node), f'add `"{key}": {needed[key]}`')
         return node.value
 
     def items(self, node: Node, what: str) -> list[Node]:
         """Return the nodes of a list; for anything else report a finding and return none."""
         if not isinstance(node.value, list):
-            self.wrong(node, f"a list of {what}", "write `[ … ]`")
+            self.report_wrong(node, f"a list of {what}", "write `[ … ]`")
             return []
         if node.numbers:
             if node.value:
-                self.report.error("wrong-value", f"expected {what} here, not numbers", self.head(node), None)
+                self.report.error("wrong-value", f"expected {what} here, not numbers", self.start_span(node), None)
             return []
         return [each for each in node.value if isinstance(each, Node)]
 
@@ -90,7 +90,7 @@ class Values:
         if node is None:
             return None
         if not isinstance(node.value, str):
-            self.wrong(node, what, 'write `"…"`')
+            self.report_wrong(node, what, 'write `"…"`')
             return None
         if not node.value and not empty:
             self.report.error("wrong-value", f"expected {what} here, but the text is empty", self.span(node), None)
@@ -104,25 +104,25 @@ class Values:
         if node is None:
             return None
         if isinstance(node.value, bool) or not isinstance(node.value, int | float):
-            self.wrong(node, what, None)
+            self.report_wrong(node, what, None)
             return None
         if not least <= node.value <= most:
-            self._outside(self.span(node), what, node.value, least, most)
+            self._report_outside(self.span(node), what, node.value, least, most)
             return None
         return float(node.value)
 
-    def _outside(self, place: Span, what: str, value: float, least: float, most: float) -> None:
+    def _report_outside(self, place: Span, what: str, value: float, least: float, most: float) -> None:
         nearest = least if value < least else most
         open_above = most >= limits.LARGEST and value < least
         bounds = f"of at least {least:g}" if open_above else f"from {least:g} to {most:g}"
         words = f"{what} is a number {bounds}, not {place.text[:30]}"
         self.report.error("out-of-range", words, place, f"write `{nearest:g}`" if abs(nearest) < limits.LARGEST else None)
 
-    def truth(self, node: Node | None, what: str, otherwise: bool) -> bool:
+    def boolean(self, node: Node | None, what: str, otherwise: bool) -> bool:
         if node is None:
             return otherwise
         if not isinstance(node.value, bool):
-            self.wrong(node, what, "write `true` or `false`")
+            self.report_wrong(node, what, "write `true` or `false`")
             return otherwise
         return node.value
 
@@ -135,9 +135,9 @@ class Values:
         if not node.numbers:
             inner = next((each for each in self.nodes(node) if not self._is_number(each)), None)
             if inner is not None:
-                self.wrong(inner, f"a number of {what}", None)
+                self.report_wrong(inner, f"a number of {what}", None)
             else:
-                self.wrong(node, what, "write `[0, 0, 0]`")
+                self.report_wrong(node, what, "write `[0, 0, 0]`")
             return None
         values = node.value
         assert isinstance(values, list)
@@ -148,7 +148,7 @@ class Values:
         array = np.array(values, np.float64)
         bad = np.flatnonzero((array < least) | (array > most))
         if len(bad):
-            self._outside(number_place(self.source, node, int(bad[0])), what, float(array[bad[0]]), least, most)
+            self._report_outside(number_place(self.source, node, int(bad[0])), what, float(array[bad[0]]), least, most)
             return None
         return array
 
@@ -172,10 +172,10 @@ class Values:
             return False
         return True
 
-    def twice(self, node: Node, words: str, first: Span) -> None:
+    def report_repeated(self, node: Node, words: str, first: Span) -> None:
         self.report.error("duplicate-name", words, self.span(node), "keep one of them", labels=(Label(first, "here first"),))
 
-    def unknown(self, place: Span, what: str, name: str, known: Iterable[str], *, warn: bool = False) -> None:
+    def report_unknown(self, place: Span, what: str, name: str, known: Iterable[str], *, warn: bool = False) -> None:
         """Report an unknown name, with a suggestion of the name that may have been meant."""
         near = nearest_name(name, known)
         say = self.report.warning if warn else self.report.error

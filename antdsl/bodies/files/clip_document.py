@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Clip, Rig
-from antdsl.bodies.agents.transforms import ORDERS, angles_of_rotation, one_sign, parts_of, rotation_of_angles
+from antdsl.bodies.agents.transforms import ORDERS, align_signs, angles_of_rotation, parts_of, rotation_of_angles
 from antdsl.bodies.files.checked_values import Values
 from antdsl.bodies.files.documents import json_text
 from antdsl.bodies.files.json_text import Node
@@ -33,16 +33,16 @@ def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None
     rate = values.number(entries["rate"], "samples a second", 0.001, 100_000)
     channels = _channels(values, entries["channels"])
     stride = values.number(entries.get("stride"), "a stride", 0.0) or 0.0
-    loop = values.truth(entries.get("loop"), "whether the clip loops", True)
-    feet = values.truth(entries.get("feet"), "whether feet stand while it plays", True)
+    loop = values.boolean(entries.get("loop"), "whether the clip loops", True)
+    feet = values.boolean(entries.get("feet"), "whether feet stand while it plays", True)
     if name is None or rate is None or not channels:
         return None
     samples = max(len(array) for _, array in channels.values())
     joints, numbers = _joints(values, entries["channels"], channels, rig)
-    if not _fits(values, entries["channels"], samples, len(joints) + len(numbers)):
+    if not _is_within_limits(values, entries["channels"], samples, len(joints) + len(numbers)):
         return None
     marks = read_marks(values, entries.get("marks"), (samples - 1) / rate)
-    turn = _turning(values, entries, any(":r" in channel for channel in channels))
+    turn = _read_rotation_order(values, entries, any(":r" in channel for channel in channels))
     if turn is None or not values.report.ok:
         return None
     parts = np.empty((samples, len(joints), 12))
@@ -60,7 +60,7 @@ def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None
     weights = np.array([np.broadcast_to(channels[channel][1], samples) for channel in numbers]).reshape(len(numbers), samples).T
     return Clip(
         name, rate, joints,
-        parts[..., 0:3].astype(np.float32), one_sign(rotation).astype(np.float32), parts[..., 6:9].astype(np.float32),
+        parts[..., 0:3].astype(np.float32), align_signs(rotation).astype(np.float32), parts[..., 6:9].astype(np.float32),
         parts[..., 9:12].astype(np.float32) if sheared else None,
         numbers, np.ascontiguousarray(weights, np.float32), loop, stride, marks, feet,
     )  # fmt: skip
@@ -69,7 +69,7 @@ def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None
 def _channels(values: Values, node: Node) -> dict[str, tuple[Node, Floats]]:
     """Return the samples of each channel: the same number for all, or one for a constant channel."""
     if not isinstance(node.value, dict) or not node.value:
-        values.wrong(node, "an object of channels, each with a list of its samples,", 'write `{"JOINT:tx": [0, 1]}`')
+        values.report_wrong(node, "an object of channels, each with a list of its samples,", 'write `{"JOINT:tx": [0, 1]}`')
         return {}
     channels: dict[str, tuple[Node, Floats]] = {}
     longest, first = 1, ""
@@ -86,7 +86,7 @@ def _channels(values: Values, node: Node) -> dict[str, tuple[Node, Floats]]:
             continue
         if len(array) > 1 and longest > 1 and len(array) != longest:
             words = f"`{channel[:60]}` has {len(array):,} samples, and `{first[:60]}` has {longest:,}"
-            values.report.error("wrong-value", words, values.key(node, channel), "give all the same number, or a single one")
+            values.report.error("wrong-value", words, values.key_span(node, channel), "give all the same number, or a single one")
             continue
         if len(array) > longest:
             longest, first = len(array), channel
@@ -108,20 +108,20 @@ def _joints(
             numbers.append(channel)
             if own is not None and channel not in own:
                 numbers.pop()
-                values.unknown(values.key(node, channel), "channel", channel, own, warn=True)
+                values.report_unknown(values.key_span(node, channel), "channel", channel, own, warn=True)
         elif part not in PARTS:
-            values.unknown(values.key(node, channel), "part of a transform", part, PARTS)
+            values.report_unknown(values.key_span(node, channel), "part of a transform", part, PARTS)
         elif names is not None and joint not in names:
-            values.unknown(values.key(node, channel), "joint", joint, names, warn=True)
+            values.report_unknown(values.key_span(node, channel), "joint", joint, names, warn=True)
         else:
             joints[joint] = None
     return tuple(joints), tuple(numbers)
 
 
-def _fits(values: Values, node: Node, samples: int, columns: int) -> bool:
+def _is_within_limits(values: Values, node: Node, samples: int, columns: int) -> bool:
     if samples > limits.CLIP_SAMPLES or samples * columns * 13 * 8 > limits.CLIP_BYTES:
         words = f"a clip of {samples:,} samples of {columns:,} joints and channels is larger than is read"
-        values.report.error("too-large", words, values.head(node), "give fewer samples a second")
+        values.report.error("too-large", words, values.start_span(node), "give fewer samples a second")
         return False
     return True
 
@@ -131,7 +131,7 @@ def read_marks(values: Values, node: Node | None, seconds: float) -> dict[str, f
     if node is None:
         return {}
     if not isinstance(node.value, dict):
-        values.wrong(node, "an object of marks with their seconds", 'write `{"NAME": 0.5}`')
+        values.report_wrong(node, "an object of marks with their seconds", 'write `{"NAME": 0.5}`')
         return {}
     marks = {}
     for name, each in node.value.items():
@@ -141,13 +141,13 @@ def read_marks(values: Values, node: Node | None, seconds: float) -> dict[str, f
     return marks
 
 
-def _turning(values: Values, entries: Mapping[str, Node], has_rotations: bool) -> tuple[str, float] | None:
+def _read_rotation_order(values: Values, entries: Mapping[str, Node], has_rotations: bool) -> tuple[str, float] | None:
     """Return the rotation order of the axes, and the radians in one unit of the angles; the text must state both if there are
     angles."""
     order, angles = entries.get("rotation_order"), entries.get("angles")
     if has_rotations and (order is None or angles is None):
         missing = '"rotation_order": "xyz"' if order is None else '"angles": "degrees"'
-        head = values.key(entries["channels"], next(c for c in entries["channels"].keys if ":r" in c))
+        head = values.key_span(entries["channels"], next(c for c in entries["channels"].keys if ":r" in c))
         values.report.error("missing-key", "a clip with rotations says their order and unit", head, f"add `{missing}`")
         return None
     for node, known in ((order, ORDERS), (angles, ("degrees", "radians"))):

@@ -11,7 +11,7 @@ from antdsl import limits
 from antdsl.bodies.agents.boxes import rest_box
 from antdsl.bodies.agents.definition import Binding, Definition, Shape
 from antdsl.bodies.files.definition_document import Parts, Place
-from antdsl.bodies.files.definition_parts import check_legs, misnamed
+from antdsl.bodies.files.definition_parts import check_legs, find_misnamed
 from antdsl.bodies.files.documents import DEFORMERS, DOCUMENTED_DEFORMERS
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
@@ -22,31 +22,31 @@ def check_definition(parts: Parts, report: Report) -> Definition | None:
     """Return the definition, with its length measured if none is given; None if one of the findings is an error."""
     definition = parts.definition
     sound = report.ok  # else a shape may be missing only because its file could not be read
-    _sizes(definition, parts.span, report)
+    _check_sizes(definition, parts.span, report)
     for name, layer in definition.layers.items():
         for binding in (*layer.static, *layer.deforming):
-            _binding(definition, binding, parts.layers.get(name), report, sound)
+            _check_binding(definition, binding, parts.layers.get(name), report, sound)
     for name, group in definition.groups.items():
         place = parts.groups.get(name)
         for joint, _ in group.members:
             if joint not in definition.rig.names:
-                _unknown(report, place, "joint", joint, definition.rig.names)
+                _report_unknown(report, place, "joint", joint, definition.rig.names)
         channels = [each.name for each in definition.rig.channels]
         for channel in group.channels:
             if channel not in channels:
-                _unknown(report, place, "channel", channel, channels, warn=True)
+                _report_unknown(report, place, "channel", channel, channels, warn=True)
     for shape in definition.shapes.values():
-        _shape(definition, shape, parts.span, report)
-    for what, name, span, known in misnamed(definition.variation, definition.groups, definition.materials, parts.varied):
+        _check_shape(definition, shape, parts.span, report)
+    for what, name, span, known in find_misnamed(definition.variation, definition.groups, definition.materials, parts.varied):
         near = nearest_name(name, known)
         report.error("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
     check_legs(definition, parts.walking, report)
     if not report.ok:
         return None
-    return _measured(definition, parts, report)
+    return _measure_length(definition, parts, report)
 
 
-def _sizes(definition: Definition, place: Span | None, report: Report) -> None:
+def _check_sizes(definition: Definition, place: Span | None, report: Report) -> None:
     points = sum(len(shape.points) for shape in definition.shapes.values())
     if points > limits.BODY_POINTS:
         words = f"the shapes have {points:,} points together, more than {limits.BODY_POINTS:,}"
@@ -59,19 +59,19 @@ def _sizes(definition: Definition, place: Span | None, report: Report) -> None:
             report.error("too-large", f"there are more than {limits.BODY_PARTS:,} {what}", place, None)
 
 
-def _unknown(report: Report, place: Place | None, what: str, name: str, known: object, *, warn: bool = False) -> None:
+def _report_unknown(report: Report, place: Place | None, what: str, name: str, known: object, *, warn: bool = False) -> None:
     near = nearest_name(name, known)  # type: ignore[arg-type]
     say = report.warning if warn else report.error
     span = place.of(name) if place else None
     say("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
 
 
-def _binding(definition: Definition, binding: Binding, place: Place | None, report: Report, sound: bool) -> None:
+def _check_binding(definition: Definition, binding: Binding, place: Place | None, report: Report, sound: bool) -> None:
     if binding.transform and binding.transform not in definition.rig.names:
-        _unknown(report, place, "joint", binding.transform, definition.rig.names)
+        _report_unknown(report, place, "joint", binding.transform, definition.rig.names)
     shape = definition.shapes.get(binding.shape)
     if shape is None and sound:
-        _unknown(report, place, "shape", binding.shape, definition.shapes)
+        _report_unknown(report, place, "shape", binding.shape, definition.shapes)
     if binding.deformer and binding.deformer not in DOCUMENTED_DEFORMERS:
         near = nearest_name(binding.deformer, DOCUMENTED_DEFORMERS)
         words = f"no deformer `{binding.deformer[:60]}` comes with antdsl"
@@ -88,7 +88,7 @@ def _binding(definition: Definition, binding: Binding, place: Place | None, repo
             report.error("bad-body", words, span, help)
 
 
-def _shape(definition: Definition, shape: Shape, place: Span | None, report: Report) -> None:
+def _check_shape(definition: Definition, shape: Shape, place: Span | None, report: Report) -> None:
     if shape.capture is not None:
         missing = [name for name in shape.capture.names if name not in definition.rig.names]
         if missing:
@@ -111,7 +111,7 @@ def _shape(definition: Definition, shape: Shape, place: Span | None, report: Rep
             report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else "add it to the rig's `channels`")
 
 
-def _measured(definition: Definition, parts: Parts, report: Report) -> Definition | None:
+def _measure_length(definition: Definition, parts: Parts, report: Report) -> Definition | None:
     if not parts.measured:
         return definition
     with np.errstate(all="ignore"):

@@ -18,7 +18,7 @@ from antdsl.bodies.files.clip_document import read_clip, read_marks
 from antdsl.bodies.files.definition_parts import Places, VariationPlaces, read_gaits, read_legs, read_metadata
 from antdsl.bodies.files.documents import read_group, read_layer, read_rig
 from antdsl.bodies.files.json_text import Node
-from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, ending
+from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, file_ending
 from antdsl.bodies.files.shape_references import read_includes, read_shapes
 from antdsl.scene.model import UNIT_MM
 from antdsl.source import Span
@@ -52,7 +52,7 @@ class Place:
                 waiting += node.value.values()
             elif isinstance(node.value, list) and not node.numbers:
                 waiting += [each for each in node.value if isinstance(each, Node)]
-        return self.values.head(self.node)
+        return self.values.start_span(self.node)
 
 
 @dataclass(slots=True)
@@ -70,50 +70,52 @@ class Parts:
 
 def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Parts | None:
     """Read the definition in a file, without the checks that need the complete definition."""
-    if _is_part(values, node):
+    if _report_part_file(values, node):
         return None
     entries = values.object(node, "a definition", KNOWN, {"antdsl_body": "1"})
     if entries is None or not values.version(entries, "antdsl_body", 1):
         return None
-    base = _base(values, entries, files, name)
-    rig = _one(values, entries.get("rig"), "a rig", read_rig, files)[0] if "rig" in entries else base.rig if base else None
+    base = _read_base(values, entries, files, name)
+    rig = _read_one(values, entries.get("rig"), "a rig", read_rig, files)[0] if "rig" in entries else base.rig if base else None
     if rig is None:
         if "rig" not in entries and "from" not in entries:
             words = "a definition has joints: a `rig`, or a file to take all of it `from`"
-            values.report.error("missing-key", words, values.head(node), 'add `"rig": {"file": "rig.json"}`')
+            values.report.error("missing-key", words, values.start_span(node), 'add `"rig": {"file": "rig.json"}`')
         return None
     base = base or Definition(name, rig)
     base = replace(base, rig=rig, name=values.text(entries.get("name"), "the name of the body") or base.name)
-    unit = _unit(values, entries.get("units"), base.unit)
+    unit = _read_unit(values, entries.get("units"), base.unit)
     base = replace(base, unit=unit)
-    front, up = _axes(values, entries, base)
+    front, up = _read_axes(values, entries, base)
     base = replace(base, front=front, up=up)
     shapes, materials = dict(base.shapes), dict(base.materials)
     if "materials" in entries:
-        materials |= _materials(values, entries["materials"])
+        materials |= _read_materials(values, entries["materials"])
     if "shapelib_includes" in entries:
         read_includes(values, entries["shapelib_includes"], files, shapes, materials)
     if "shapes" in entries:
         read_shapes(values, entries["shapes"], files, unit, shapes, materials)
-    parts = Parts(base, span=values.head(node))
-    layers = _all(values, entries.get("layers"), "a layer", read_layer, files, lambda each: each.name, parts.layers)
-    groups = _all(values, entries.get("groups"), "a transform group", read_group, files, lambda each: each.name, parts.groups)
-    clips = _clips(values, entries.get("clips"), files, rig, dict(base.clips))
+    parts = Parts(base, span=values.start_span(node))
+    layers = _read_all(values, entries.get("layers"), "a layer", read_layer, files, lambda each: each.name, parts.layers)
+    groups = _read_all(
+        values, entries.get("groups"), "a transform group", read_group, files, lambda each: each.name, parts.groups
+    )
+    clips = _read_clips(values, entries.get("clips"), files, rig, dict(base.clips))
     metadata = dict(base.metadata)
     if "metadata" in entries:
-        metadata |= _one(values, entries["metadata"], "metadata", read_metadata, files)[0] or {}
+        metadata |= _read_one(values, entries["metadata"], "metadata", read_metadata, files)[0] or {}
     length = values.number(entries.get("length"), "a length", 1e-9)
     parts.measured = length is None
     if "variation" in entries:
         base = replace(base, variation=definition_parts.read_variation(values, entries["variation"], parts.varied))
     parts.definition = replace(
         base, shapes=shapes, materials=materials, layers={**base.layers, **layers}, groups={**base.groups, **groups},
-        clips=clips, metadata=metadata, length=length or base.length, **_walking(values, entries, parts.walking),
+        clips=clips, metadata=metadata, length=length or base.length, **_read_walking(values, entries, parts.walking),
     )  # fmt: skip
     return parts
 
 
-def _walking(values: Values, entries: Mapping[str, Node], locations: Places) -> dict[str, Any]:
+def _read_walking(values: Values, entries: Mapping[str, Node], locations: Places) -> dict[str, Any]:
     """The legs, gaits and idle clip that a file names."""
     settings: dict[str, Any] = {}
     for key, read in (("legs", read_legs), ("gaits", read_gaits)):
@@ -136,19 +138,19 @@ _SIGNS = (
 )
 
 
-def _is_part(values: Values, node: Node) -> bool:
+def _report_part_file(values: Values, node: Node) -> bool:
     """Return whether a file is only a part of a definition, and report it if so."""
     if not isinstance(node.value, dict) or "antdsl_body" in node.value:
         return False
     for key, what, line in _SIGNS:
         if key in node.value:
             words = f"this is {what}, not a definition, which names it as one of its parts"
-            values.report.error("wrong-kind", words, values.key(node, key), f'write a file `{{"antdsl_body": 1, {line}}}`')
+            values.report.error("wrong-kind", words, values.key_span(node, key), f'write a file `{{"antdsl_body": 1, {line}}}`')
             return True
     return False
 
 
-def _base(values: Values, entries: Mapping[str, Node], files: BodyFiles, name: str) -> Definition | None:
+def _read_base(values: Values, entries: Mapping[str, Node], files: BodyFiles, name: str) -> Definition | None:
     """Return the definition of the glTF or USD file that everything else is added to."""
     node = entries.get("from")
     if node is None:
@@ -160,9 +162,9 @@ def _base(values: Values, entries: Mapping[str, Node], files: BodyFiles, name: s
     if inner is None or path is None:
         return None
     place = values.span(inner["file"])
-    if files.closed(path, place):
+    if files.is_closed_format(path, place):
         return None
-    if ending(path) not in (*GLTF, *USD):
+    if file_ending(path) not in (*GLTF, *USD):
         kinds = ", ".join(f".{kind}" for kind in (*GLTF, *USD))
         files.report.error("wrong-kind", f"`{path[-80:]}` has no joints", place, f"one of {kinds} is read here")
         return None
@@ -172,7 +174,7 @@ def _base(values: Values, entries: Mapping[str, Node], files: BodyFiles, name: s
     return None if definition is None else replace(definition, name=name)
 
 
-def _file(values: Values, node: Node) -> tuple[str, Span] | None:
+def _part_path(values: Values, node: Node) -> tuple[str, Span] | None:
     """Return the path of a part in a separate file (an object with `file` and nothing else), with its span; None for other
     values."""
     if not isinstance(node.value, dict) or set(node.value) != {"file"}:
@@ -181,13 +183,13 @@ def _file(values: Values, node: Node) -> tuple[str, Span] | None:
     return None if path is None else (path, values.span(node.value["file"]))
 
 
-def _one(
+def _read_one(
     values: Values, node: Node | None, what: str, read: Callable[[Values, Node], T], files: BodyFiles
 ) -> tuple[T | None, Place | None]:
     """Read a part, inside the file or from a separate one. Return it with its place."""
     if node is None:
         return None, None
-    named = _file(values, node)
+    named = _part_path(values, node)
     if named is None:
         return read(values, node), Place(values, node)
     top_nodes: list[Node] = []
@@ -196,34 +198,34 @@ def _one(
         top_nodes.append(top)
         return read(inside, top)
 
-    part, inside = files.part(named[0], what, noted, named[1])
+    part, inside = files.read_part_file(named[0], what, noted, named[1])
     return part, Place(inside, top_nodes[0]) if inside is not None and top_nodes else None
 
 
-def _all(
+def _read_all(
     values: Values, node: Node | None, what: str, read: Callable[[Values, Node], T | None], files: BodyFiles,
     name: Callable[[T], str], locations: dict[str, Place],
 ) -> dict[str, T]:  # fmt: skip
     """Return the parts of a list by name. Each may be in a separate file."""
     parts: dict[str, T] = {}
-    for each in _counted(values, node, f"{what.partition(' ')[2]}s"):
-        part, place = _one(values, each, what, read, files)
+    for each in _limited_items(values, node, f"{what.partition(' ')[2]}s"):
+        part, place = _read_one(values, each, what, read, files)
         if part is None or place is None:
             continue
         own = name(part)
         if own in parts:
-            values.twice(
-                each, f"there are two {what.partition(' ')[2]}s `{own}`", locations[own].values.head(locations[own].node)
+            values.report_repeated(
+                each, f"there are two {what.partition(' ')[2]}s `{own}`", locations[own].values.start_span(locations[own].node)
             )
             continue
         parts[own], locations[own] = part, place
     return parts
 
 
-def _counted(values: Values, node: Node | None, what: str) -> list[Node]:
+def _limited_items(values: Values, node: Node | None, what: str) -> list[Node]:
     items = [] if node is None else values.items(node, what)
     if node is not None and len(items) > limits.BODY_PARTS:
-        values.report.error("too-large", f"there are more than {limits.BODY_PARTS:,} {what}", values.head(node), None)
+        values.report.error("too-large", f"there are more than {limits.BODY_PARTS:,} {what}", values.start_span(node), None)
         return []
     return items
 
@@ -231,40 +233,40 @@ def _counted(values: Values, node: Node | None, what: str) -> list[Node]:
 # ---- clips
 
 
-def _clips(values: Values, node: Node | None, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
+def _read_clips(values: Values, node: Node | None, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
     """Return the clips of a list: inline, from clip files, from glTF or USD files, or those of `from` with other settings."""
     first: dict[str, Span] = {}
-    for each in _counted(values, node, "clips"):
+    for each in _limited_items(values, node, "clips"):
         if isinstance(each.value, dict) and "antdsl_clip" not in each.value:
             entries = values.object(each, "a clip", _OF_CLIP)
-            new = _referred_clips(values, each, entries, files, rig, clips) if entries is not None else []
+            new = _read_referenced_clips(values, each, entries, files, rig, clips) if entries is not None else []
         else:
             clip = read_clip(values, each, rig)
             new = [clip] if clip is not None else []
         for clip in new:
-            if clip.name in first or (clip.name in clips and _brings_its_own(each)):
-                labelled = first.get(clip.name, values.head(node)) if node is not None else values.head(each)
-                values.twice(each, f"there are two clips `{clip.name}`", labelled)
+            if clip.name in first or (clip.name in clips and _has_own_samples(each)):
+                labelled = first.get(clip.name, values.start_span(node)) if node is not None else values.start_span(each)
+                values.report_repeated(each, f"there are two clips `{clip.name}`", labelled)
                 continue
-            clips[clip.name], first[clip.name] = clip, values.head(each)
+            clips[clip.name], first[clip.name] = clip, values.start_span(each)
     return clips
 
 
-def _brings_its_own(node: Node) -> bool:
+def _has_own_samples(node: Node) -> bool:
     return isinstance(node.value, dict) and ("file" in node.value or "antdsl_clip" in node.value)
 
 
-def _referred_clips(
+def _read_referenced_clips(
     values: Values, node: Node, entries: Mapping[str, Node], files: BodyFiles, rig: Rig, own: dict[str, Clip]
 ) -> list[Clip]:
     clip_name = values.text(entries.get("clip"), "the name of a clip")
-    place = values.head(node)
+    place = values.start_span(node)
     if "file" in entries:
         path = values.text(entries["file"], "the path of a file")
         if path is None:
             return []
         place = values.span(entries["file"])
-        clips = _clips_of(values, entries, path, place, files, rig)
+        clips = _read_clip_file(values, entries, path, place, files, rig)
     elif clip_name is None:
         values.report.error("missing-key", "a clip has no `file`", place, 'add `"file": "walk.json"`, or `"clip": "Walk"`')
         return []
@@ -272,7 +274,7 @@ def _referred_clips(
         clips = own
     if clip_name is not None:
         if clip_name not in clips:
-            values.unknown(values.span(entries["clip"]), "clip", clip_name, clips)
+            values.report_unknown(values.span(entries["clip"]), "clip", clip_name, clips)
             return []
         clips = {clip_name: clips[clip_name]}
     if "file" not in entries and clip_name is not None:
@@ -289,35 +291,37 @@ def _referred_clips(
             replace(
                 clip,
                 name=name or clip.name,
-                loop=values.truth(entries.get("loop"), "whether the clip loops", clip.loop),
+                loop=values.boolean(entries.get("loop"), "whether the clip loops", clip.loop),
                 stride=clip.stride if stride is None else stride,
                 marks=read_marks(values, entries["marks"], clip.duration) if "marks" in entries else clip.marks,
-                feet=values.truth(entries.get("feet"), "whether feet stand while it plays", clip.feet),
+                feet=values.boolean(entries.get("feet"), "whether feet stand while it plays", clip.feet),
             )
         )
     return new_clips
 
 
-def _clips_of(values: Values, entries: Mapping[str, Node], path: str, place: Span, files: BodyFiles, rig: Rig) -> dict[str, Clip]:
+def _read_clip_file(
+    values: Values, entries: Mapping[str, Node], path: str, place: Span, files: BodyFiles, rig: Rig
+) -> dict[str, Clip]:
     """Return the clips of a file: one from a text, all of a glTF or USD file, without joints that the rig lacks."""
-    if ending(path) not in (*GLTF, *USD):
-        if ending(path) != "json" and not files.closed(path, place):
+    if file_ending(path) not in (*GLTF, *USD):
+        if file_ending(path) != "json" and not files.is_closed_format(path, place):
             kinds = ", ".join(f".{kind}" for kind in ("json", *GLTF, *USD))
             files.report.error("wrong-kind", f"`{path[-80:]}` is no file of clips", place, f"one of {kinds} is read")
-        if ending(path) != "json":
+        if file_ending(path) != "json":
             return {}
-        clip, _ = files.part(path, "a clip", lambda inside, node: read_clip(inside, node, rig), place)
+        clip, _ = files.read_part_file(path, "a clip", lambda inside, node: read_clip(inside, node, rig), place)
         return {} if clip is None else {clip.name: clip}
     prim = values.text(entries.get("prim"), "the path of a prim") or ""
     rate = values.number(entries.get("rate"), "samples a second", 1.0, 1000.0) or 0.0
     body = files.body(path, place, prim, rate, rig)
     clips = {}
     for name, clip in (body.clips if body else {}).items():
-        clips[name] = _of_rig(files, clip, rig, place)
+        clips[name] = _fit_to_rig(files, clip, rig, place)
     return clips
 
 
-def _of_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
+def _fit_to_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
     """Return a clip of another file for this rig. Joints and channels that the rig does not have are reported and left out."""
     names, channels = set(rig.names), {each.name for each in rig.channels}
     joints = [number for number, joint in enumerate(clip.joints) if joint in names]
@@ -345,7 +349,7 @@ def unit_mm(text: object) -> float:
     return float(match[1] or 1) * UNIT_MM[match[2]] if match else 0.0
 
 
-def _unit(values: Values, node: Node | None, otherwise: float) -> float:
+def _read_unit(values: Values, node: Node | None, otherwise: float) -> float:
     if node is None:
         return otherwise
     unit = unit_mm(node.value)
@@ -357,7 +361,7 @@ def _unit(values: Values, node: Node | None, otherwise: float) -> float:
     return unit
 
 
-def _axes(values: Values, entries: Mapping[str, Node], base: Definition) -> tuple[Axis, Axis]:
+def _read_axes(values: Values, entries: Mapping[str, Node], base: Definition) -> tuple[Axis, Axis]:
     """Return the forward and upward axes of a body."""
     axes = {"front": base.front, "up": base.up}
     for key in axes:
@@ -378,9 +382,9 @@ def _axes(values: Values, entries: Mapping[str, Node], base: Definition) -> tupl
     return axes["front"], axes["up"]
 
 
-def _materials(values: Values, node: Node) -> dict[str, tuple[float, float, float]]:
+def _read_materials(values: Values, node: Node) -> dict[str, tuple[float, float, float]]:
     if not isinstance(node.value, dict):
-        values.wrong(node, "an object of base colours", 'write `{"NAME": [0.5, 0.4, 0.3]}`')
+        values.report_wrong(node, "an object of base colours", 'write `{"NAME": [0.5, 0.4, 0.3]}`')
         return {}
     colours = {}
     for name, each in node.value.items():

@@ -41,14 +41,14 @@ class Places:
 def read_legs(values: Values, node: Node, locations: Places) -> tuple[Leg, ...]:
     """Read the list `legs`: each leg has a unique name and the joints `upper`, `lower` and `foot`."""
     legs: dict[str, Leg] = {}
-    locations.spans["legs",] = values.head(node)
-    for entries, each in _entries(values, node, "legs", "a leg", _LEG, limits.LEGS):
+    locations.spans["legs",] = values.start_span(node)
+    for entries, each in _complete_objects(values, node, "legs", "a leg", _LEG, limits.LEGS):
         texts = {key: values.text(entries[key], f"the {'name' if key == 'name' else 'joint'} of a leg") for key in _LEG}
         name, upper, lower, foot = (texts[key] for key in _LEG)
         if name is None or upper is None or lower is None or foot is None:
             continue
         if name in legs:
-            values.twice(entries["name"], f"there are two legs `{name}`", locations.spans["legs", name, "name"])
+            values.report_repeated(entries["name"], f"there are two legs `{name}`", locations.spans["legs", name, "name"])
             continue
         legs[name] = Leg(name, upper, lower, foot)
         _note(values, locations, ("legs", name), each, entries)
@@ -58,8 +58,8 @@ def read_legs(values: Values, node: Node, locations: Places) -> tuple[Leg, ...]:
 def read_gaits(values: Values, node: Node, locations: Places) -> tuple[Gait, ...]:
     """Read the list `gaits` and sort it from slow to fast."""
     gaits: dict[str, Gait] = {}
-    locations.spans["gaits",] = values.head(node)
-    for entries, each in _entries(values, node, "gaits", "a gait", _GAIT, limits.GAITS):
+    locations.spans["gaits",] = values.start_span(node)
+    for entries, each in _complete_objects(values, node, "gaits", "a gait", _GAIT, limits.GAITS):
         name = values.text(entries["name"], "the name of a gait")
         speed = values.number(entries["speed"], "a speed", 0.0)
         stride = values.number(entries["stride"], "a stride", limits.LEAST_STRIDE)
@@ -69,29 +69,29 @@ def read_gaits(values: Values, node: Node, locations: Places) -> tuple[Gait, ...
         if name is None or speed is None or stride is None or duty is None or lift is None or phases is None:
             continue
         if name in gaits:
-            values.twice(entries["name"], f"there are two gaits `{name}`", locations.spans["gaits", name, "name"])
+            values.report_repeated(entries["name"], f"there are two gaits `{name}`", locations.spans["gaits", name, "name"])
             continue
         gaits[name] = Gait(name, speed, stride, duty, lift, tuple(phases.tolist()))
         _note(values, locations, ("gaits", name), each, entries)
     return tuple(sorted(gaits.values(), key=lambda gait: gait.speed))
 
 
-def _entries(
+def _complete_objects(
     values: Values, node: Node, what: str, one: str, needed: dict[str, str], most: int
 ) -> list[tuple[Mapping[str, Node], Node]]:
     """Return the objects of a list that have all required keys."""
     items = values.items(node, what)
     if len(items) > most:
-        values.report.error("too-large", f"a body has at most {most:,} {what}", values.head(node), None)
+        values.report.error("too-large", f"a body has at most {most:,} {what}", values.start_span(node), None)
         return []
     read = ((values.object(each, one, tuple(needed), needed), each) for each in items)
     return [(entries, each) for entries, each in read if entries is not None and all(key in entries for key in needed)]
 
 
 def _note(values: Values, locations: Places, path: tuple[str, ...], node: Node, entries: Mapping[str, Node]) -> None:
-    locations.spans[path] = values.head(node)
+    locations.spans[path] = values.start_span(node)
     for key, inner in entries.items():
-        locations.spans[*path, key] = values.head(inner) if isinstance(inner.value, list) else values.span(inner)
+        locations.spans[*path, key] = values.start_span(inner) if isinstance(inner.value, list) else values.span(inner)
 
 
 # ---- checks
@@ -101,7 +101,7 @@ def check_legs(definition: Definition, locations: Places, report: Report) -> Non
     """Report legs with joints that are missing or not below each other, gaits that do not fit the legs, and a missing idle
     clip."""
     for leg in definition.legs:
-        _leg(definition, leg, locations, report)
+        _check_leg(definition, leg, locations, report)
     for gait in definition.gaits:
         if len(gait.phases) != len(definition.legs):
             count = len(definition.legs)
@@ -123,7 +123,7 @@ def check_legs(definition: Definition, locations: Places, report: Report) -> Non
         report.error("unknown-name", words, locations.of("idle"), f'write `"{near}"`' if near else None)
 
 
-def _leg(definition: Definition, leg: Leg, locations: Places, report: Report) -> None:
+def _check_leg(definition: Definition, leg: Leg, locations: Places, report: Report) -> None:
     names = definition.rig.names
     known = True
     for key, joint in (("upper", leg.upper), ("lower", leg.lower), ("foot", leg.foot)):
@@ -135,14 +135,14 @@ def _leg(definition: Definition, leg: Leg, locations: Places, report: Report) ->
     if not known:
         return
     for key, above, below in (("lower", leg.upper, leg.lower), ("foot", leg.lower, leg.foot)):
-        if above not in above_of(definition, below):
+        if above not in ancestors_of(definition, below):
             words = f"`{below[:60]}` does not hang below `{above[:60]}`"
             report.error(
                 "bad-rig", words, locations.of("legs", leg.name, key), "name joints from the hip down: upper, lower, foot"
             )
 
 
-def above_of(definition: Definition, joint: str) -> list[str]:
+def ancestors_of(definition: Definition, joint: str) -> list[str]:
     """The joints above one, the nearest first."""
     names, parents = definition.rig.names, definition.rig.parents
     ancestors: list[str] = []
@@ -172,11 +172,11 @@ def read_variation(values: Values, node: Node, locations: VariationPlaces) -> Va
             locations["materials", name] = values.span(each)
         elif len(colours) == len(arrays):
             words = f"{len(colours)} colours for `{name}` are no way that a colour may lie on"
-            values.report.error("wrong-count", words, values.head(each), "write two colours, or more")
+            values.report.error("wrong-count", words, values.start_span(each), "write two colours, or more")
     return Variation(scales, materials)
 
 
-def misnamed(
+def find_misnamed(
     variation: Variation, groups: Iterable[str], materials: Iterable[str], locations: VariationPlaces
 ) -> list[tuple[str, str, Span | None, list[str]]]:
     """Return names in the variation that the definition lacks: kind, name, place, and the existing names."""
@@ -193,13 +193,13 @@ def _named(values: Values, node: Node | None, what: str, sample: str) -> Iterabl
     if node is None:
         return ()
     if not isinstance(node.value, dict):
-        values.wrong(node, f"an object of {what} by name", f"write `{sample}`")
+        values.report_wrong(node, f"an object of {what} by name", f"write `{sample}`")
         return ()
     return node.value.items()
 
 
 @dataclass(frozen=True, slots=True)
-class Typed:
+class TypedValue:
     """A value with its type beside it: an object with the keys `type` and `value`, and no other."""
 
     type: str
@@ -216,7 +216,7 @@ _TYPES = {
 def read_metadata(values: Values, node: Node) -> dict[str, Any]:
     """Return the entries of a metadata document. Wrong entries are reported and left out."""
     if not isinstance(node.value, dict):
-        values.wrong(node, "metadata, which is an object `{ … }`,", None)
+        values.report_wrong(node, "metadata, which is an object `{ … }`,", None)
         return {}
     return _plain_entries(values, node.value)
 
@@ -228,7 +228,7 @@ def _plain_entries(values: Values, entries: Mapping[str, Node]) -> dict[str, Any
 def _value(values: Values, node: Node) -> Any:
     if isinstance(node.value, bool) or node.value is None:
         help = f"write `{int(node.value)}`" if node.value is not None else "leave the key out"
-        values.wrong(node, "a text, a number, a list or an object", help)
+        values.report_wrong(node, "a text, a number, a list or an object", help)
         return 0
     if isinstance(node.value, list):
         return list(node.value) if node.numbers else [_value(values, each) for each in values.nodes(node)]
@@ -239,24 +239,24 @@ def _value(values: Values, node: Node) -> Any:
     return node.value
 
 
-def _typed(values: Values, entries: Mapping[str, Node]) -> Typed | None:
+def _typed(values: Values, entries: Mapping[str, Node]) -> TypedValue | None:
     kind, inner = entries["type"], entries["value"]
     name = values.text(kind, "the name of a type")
     value = _value(values, inner)
     if name is None:
         return None
     if name not in _TYPES:
-        values.unknown(values.span(kind), "type of metadata", name, _TYPES, warn=True)
+        values.report_unknown(values.span(kind), "type of metadata", name, _TYPES, warn=True)
     elif not _fits(name, value):
         count = _TYPES[name]
         if count and isinstance(value, list):
             words = f"a value of the type `{name}` is a list of {count} numbers"
-            values.report.error("wrong-value", words, values.head(inner), None)
-            return Typed(name, value)
+            values.report.error("wrong-value", words, values.start_span(inner), None)
+            return TypedValue(name, value)
         expectation = f"a list of {count} numbers" if count else f"a value of the type `{name}`"
         needs_rounding = isinstance(value, float) and name == "int"
-        values.wrong(inner, expectation, f"write `{round(value)}`, or the type `float`" if needs_rounding else None)
-    return Typed(name, value)
+        values.report_wrong(inner, expectation, f"write `{round(value)}`, or the type `float`" if needs_rounding else None)
+    return TypedValue(name, value)
 
 
 def _fits(name: str, value: Any) -> bool:
@@ -274,7 +274,7 @@ def plain_metadata(metadata: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    if isinstance(value, Typed):
+    if isinstance(value, TypedValue):
         return {"type": value.type, "value": _plain(value.value)}
     if isinstance(value, Mapping):
         return plain_metadata(value)

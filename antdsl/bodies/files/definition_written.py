@@ -11,7 +11,7 @@ import numpy as np
 
 from antdsl import __version__
 from antdsl.bodies.agents.definition import Clip, Definition, Shape
-from antdsl.bodies.agents.other_axes import in_axes
+from antdsl.bodies.agents.other_axes import convert_axes
 from antdsl.bodies.agents.transforms import parts_of
 from antdsl.bodies.files.clip_document import write_clip
 from antdsl.bodies.files.definition_document import unit_mm
@@ -26,7 +26,7 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
     """The files of a definition by their paths: `NAME.json`, and the parts that it names in the folder `NAME`."""
     unit = next((word for word, mm in UNIT_MM.items() if mm == body.unit), f"{body.unit:.15g} mm")
     if unit_mm(unit) != body.unit:
-        unit, body = "mm", in_axes(body, body.front, body.up, 1.0)
+        unit, body = "mm", convert_axes(body, body.front, body.up, 1.0)
     files: dict[str, bytes] = {}
 
     def part(path: str, text: str) -> dict[str, str]:
@@ -38,14 +38,14 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
         return {"file": f"{name}/{own}.json"}
 
     document: dict[str, Any] = {
-        "antdsl_body": 1, "name": body.name, "front": _axis(body.front), "up": _axis(body.up), "units": unit,
+        "antdsl_body": 1, "name": body.name, "front": _axis_text(body.front), "up": _axis_text(body.up), "units": unit,
         "length": body.length, "rig": part("rig", write_rig(body.rig)),
     }  # fmt: skip
     if body.materials:
         document["materials"] = {material: list(colour) for material, colour in body.materials.items()}
     if body.shapes:
-        files[f"{name}/{SHAPES}"] = _shapes(body)
-        document["shapes"] = [_reference(body, shape, f"{name}/{SHAPES}") for shape in body.shapes.values()]
+        files[f"{name}/{SHAPES}"] = _shapes_gltf(body)
+        document["shapes"] = [_shape_reference(body, shape, f"{name}/{SHAPES}") for shape in body.shapes.values()]
     for key, texts in (
         ("layers", [(each.name, write_layer(each)) for each in body.layers.values()]),
         ("clips", [(each.name, write_clip(_with_shear(body, each))) for each in body.clips.values()]),
@@ -65,12 +65,12 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
     return {f"{name}.json": json_text(document).encode()} | files
 
 
-def _shapes(body: Definition) -> bytes:
+def _shapes_gltf(body: Definition) -> bytes:
     """Return a glTF file of all shapes unchanged, one mesh each; those that follow joints have a skin. Numbers are the
     definition's."""
     writer = GltfWriter(f"antdsl {__version__}")
     materials = {}
-    for name in {m: None for shape in body.shapes.values() for m in shape.materials if m and not _lone(body, shape)}:
+    for name in {m: None for shape in body.shapes.values() for m in shape.materials if m and not _has_lone_material(body, shape)}:
         colour = body.materials.get(name, (1.0, 1.0, 1.0))
         materials[name] = writer.add("materials", {"name": name, "pbrMetallicRoughness": {"baseColorFactor": [*colour, 1.0]}})
     nodes = {name: writer.add("nodes", {"name": name}) for name in body.rig.names}
@@ -89,15 +89,15 @@ def _shapes(body: Definition) -> bytes:
         parts = ShapeParts(writer, body, plain, shape.normals)
         entry: dict[str, Any] = {"name": shape.name, "mesh": parts.mesh(shape.name, materials)}
         if shape.capture is not None:
-            entry["skin"] = parts.skin(nodes, roots[0])
+            entry["skin"] = parts.add_skin(nodes, roots[0])
         roots.append(writer.add("nodes", entry))
     return writer.bytes(False, scene=0, scenes=[{"nodes": roots}])
 
 
-def _reference(body: Definition, shape: Shape, path: str) -> dict[str, Any]:
+def _shape_reference(body: Definition, shape: Shape, path: str) -> dict[str, Any]:
     """Return a definition's reference to a shape, with the documented attributes of blend shapes."""
     reference: dict[str, Any] = {"file": path, "shape": shape.name}
-    if _lone(body, shape):
+    if _has_lone_material(body, shape):
         reference["material"] = shape.materials[0]
     if shape.blend is not None:
         blend = shape.blend
@@ -115,7 +115,7 @@ def _reference(body: Definition, shape: Shape, path: str) -> dict[str, Any]:
     return reference
 
 
-def _lone(body: Definition, shape: Shape) -> bool:
+def _has_lone_material(body: Definition, shape: Shape) -> bool:
     """Return whether a shape has exactly one material and that has no colour, such as `state`. glTF would give it a colour, so
     the reference names the material."""
     return len(shape.materials) == 1 and shape.materials[0] not in body.materials
@@ -128,7 +128,7 @@ def _with_shear(body: Definition, clip: Clip) -> Clip:
     return replace(clip, shear=np.zeros_like(clip.translation))
 
 
-def _axis(axis: tuple[float, float, float]) -> str:
+def _axis_text(axis: tuple[float, float, float]) -> str:
     number = int(np.argmax(np.abs(axis)))
     return f"{'+' if axis[number] > 0 else '-'}{'xyz'[number]}"
 

@@ -53,28 +53,28 @@ def read_rig(values: Values, node: Node) -> Rig | None:
     if entries is None or "transforms" not in entries:
         return None
     values.version(entries, "rig_version", 1)
-    tree = _tree(values, entries["transforms"])
+    tree = _read_tree(values, entries["transforms"])
     if tree is None:
         return None
     names, parents = tree
     rest = np.tile(np.eye(4), (len(names), 1, 1))
     if REST in entries:
-        _rest(values, entries[REST], names, rest)
-    channels = _channels(values, entries["channels"], names) if "channels" in entries else ()
+        _read_rest(values, entries[REST], names, rest)
+    channels = _read_channels(values, entries["channels"], names) if "channels" in entries else ()
     return Rig(names, np.array(parents, np.int32), rest, channels)
 
 
-def _tree(values: Values, node: Node) -> tuple[tuple[str, ...], list[int]] | None:
+def _read_tree(values: Values, node: Node) -> tuple[tuple[str, ...], list[int]] | None:
     """Return joints and the number of each one's parent, in the order of the text. If parents do not come first there, the order
     goes from the roots down."""
     if not isinstance(node.value, dict):
-        values.wrong(node, "an object of joints, each with a list of its children,", 'write `{"root": []}`')
+        values.report_wrong(node, "an object of joints, each with a list of its children,", 'write `{"root": []}`')
         return None
     joints = node.value
     if not joints or len(joints) > limits.JOINTS:
         words = "a rig has at least one joint" if not joints else f"a rig has at most {limits.JOINTS:,} joints"
         code = "too-large" if joints else "bad-rig"
-        values.report.error(code, words, values.head(node), None if joints else 'write `{"root": []}`')
+        values.report.error(code, words, values.start_span(node), None if joints else 'write `{"root": []}`')
         return None
     parent: dict[str, tuple[str, Span]] = {}
     children: dict[str, list[str]] = {name: [] for name in joints}
@@ -87,11 +87,11 @@ def _tree(values: Values, node: Node) -> tuple[tuple[str, ...], list[int]] | Non
             place = values.span(each)
             if child not in joints:
                 free = [other for other in joints if other not in parent]
-                _no_such_child(values, place, name, child, free)
+                _report_missing_child(values, place, name, child, free)
             elif child in parent:
                 other, first = parent[child]
                 if other == name:
-                    values.twice(each, f"`{child}` is twice a child of `{name}`", first)
+                    values.report_repeated(each, f"`{child}` is twice a child of `{name}`", first)
                 else:
                     words = f"the joint `{child}` has two parents, `{other}` and `{name}`"
                     values.report.error("bad-rig", words, place, f"delete `{child}` below one of them")
@@ -113,7 +113,7 @@ def _tree(values: Values, node: Node) -> tuple[tuple[str, ...], list[int]] | Non
     return tuple(names), [number[parent[name][0]] if name in parent else -1 for name in names]
 
 
-def _no_such_child(values: Values, place: Span, name: str, child: str, free: list[str]) -> None:
+def _report_missing_child(values: Values, place: Span, name: str, child: str, free: list[str]) -> None:
     from antdsl.diagnostics.suggestion import nearest_name
 
     near = nearest_name(child, free)
@@ -139,7 +139,7 @@ def _refuse_circles(values: Values, parent: Mapping[str, tuple[str, Span]]) -> N
         visited.update(chain)
 
 
-def _rest(values: Values, node: Node, names: tuple[str, ...], rest: NDArray[np.float64]) -> None:
+def _read_rest(values: Values, node: Node, names: tuple[str, ...], rest: NDArray[np.float64]) -> None:
     entries = values.object(node, "a rest pose", names, strict=True)
     number = {name: count for count, name in enumerate(names)}
     for name, each in (entries or {}).items():
@@ -147,24 +147,26 @@ def _rest(values: Values, node: Node, names: tuple[str, ...], rest: NDArray[np.f
         if not rows:
             continue
         if len(rows) != 4:
-            values.report.error("wrong-value", f"a matrix has 4 rows, and this one has {len(rows)}", values.head(each), None)
+            values.report.error(
+                "wrong-value", f"a matrix has 4 rows, and this one has {len(rows)}", values.start_span(each), None
+            )
         if len(rows) != 4 or name not in number or any(row is None for row in rows):
             continue
         matrix = np.array(rows)
         if (matrix[3] != (0, 0, 0, 1)).any():
             words = f"the last row of the rest pose of `{name}` is not `[0, 0, 0, 1]`"
             help = "write the translation into the last column" if (matrix[:3, 3] == 0).all() else "write `[0, 0, 0, 1]`"
-            values.report.error("wrong-value", words, values.head(each), help)
+            values.report.error("wrong-value", words, values.start_span(each), help)
             continue
         rest[number[name]] = matrix
 
 
-def _channels(values: Values, node: Node, names: tuple[str, ...]) -> tuple[Channel, ...]:
+def _read_channels(values: Values, node: Node, names: tuple[str, ...]) -> tuple[Channel, ...]:
     if not isinstance(node.value, dict):
-        values.wrong(node, "an object of channels", 'write `{"NAME": {"default_value": 0, "transform": ""}}`')
+        values.report_wrong(node, "an object of channels", 'write `{"NAME": {"default_value": 0, "transform": ""}}`')
         return ()
     if len(node.value) > limits.CHANNELS:
-        values.report.error("too-large", f"a rig has at most {limits.CHANNELS:,} channels", values.head(node), None)
+        values.report.error("too-large", f"a rig has at most {limits.CHANNELS:,} channels", values.start_span(node), None)
         return ()
     channels = []
     for name, each in node.value.items():
@@ -175,7 +177,7 @@ def _channels(values: Values, node: Node, names: tuple[str, ...]) -> tuple[Chann
         default = values.number(entries.get("default_value"), "the default of a channel")
         joint = values.text(entries.get("transform"), "the name of a joint", empty=True) or ""
         if joint and joint not in names:
-            values.unknown(values.span(entries["transform"]), "joint", joint, names)
+            values.report_unknown(values.span(entries["transform"]), "joint", joint, names)
         channels.append(Channel(name, default or 0.0, joint))
     return tuple(channels)
 
@@ -188,10 +190,10 @@ def write_rig(rig: Rig) -> str:
             children[rig.names[parent]].append(name)
     document: dict[str, Any] = {"rig_version": 1, "transforms": children}
     if rig.channels:
-        document["channels"] = {c.name: {"default_value": _short(c.default), "transform": c.transform} for c in rig.channels}
+        document["channels"] = {c.name: {"default_value": _integral(c.default), "transform": c.transform} for c in rig.channels}
     moved = [joint for joint in range(len(rig.names)) if (rig.rest[joint] != np.eye(4)).any()]
     if moved:
-        document[REST] = {rig.names[j]: [[_short(float(v)) for v in row] for row in rig.rest[j]] for j in moved}
+        document[REST] = {rig.names[j]: [[_integral(float(v)) for v in row] for row in rig.rest[j]] for j in moved}
     return json_text(document)
 
 
@@ -207,7 +209,9 @@ def read_layer(values: Values, node: Node) -> Layer | None:
     values.version(entries, "version", 2)
     name = values.text(entries.get("name"), "the name of a layer")
     static, deforming = (
-        tuple(filter(None, (_binding(values, each, kind == "deforming") for each in values.items(entries[kind], "bindings"))))
+        tuple(
+            filter(None, (_read_binding(values, each, kind == "deforming") for each in values.items(entries[kind], "bindings")))
+        )
         if kind in entries
         else ()
         for kind in ("static", "deforming")
@@ -215,7 +219,7 @@ def read_layer(values: Values, node: Node) -> Layer | None:
     return Layer(name, static, deforming) if name is not None else None
 
 
-def _binding(values: Values, node: Node, deforming: bool) -> Binding | None:
+def _read_binding(values: Values, node: Node, deforming: bool) -> Binding | None:
     known = ("transform", "shape", "bounds_scale", "deformer")
     needed = {"shape": '"…"'} | ({"deformer": '"linearskinning"'} if deforming else {"transform": '"…"'})
     entries = values.object(node, "a binding", known, needed, strict=False)
@@ -242,7 +246,7 @@ def write_layer(layer: Layer) -> str:
             {
                 "transform": each.transform,
                 "shape": each.shape,
-                "bounds_scale": [_short(part) for part in each.bounds_scale],
+                "bounds_scale": [_integral(part) for part in each.bounds_scale],
                 "deformer": each.deformer,
             }
             for each in layer_bindings
@@ -260,14 +264,14 @@ def read_group(values: Values, node: Node) -> TransformGroup | None:
     values.version(entries, "version", 2)
     name = values.text(entries.get("name"), "the name of a transform group")
     members = []
-    for member, inner in _named(values, entries.get("members"), "a member", ("name", "weight")):
+    for member, inner in _named_objects(values, entries.get("members"), "a member", ("name", "weight")):
         weight = values.number(inner.get("weight"), "a weight", 0.0, 1.0)
         members.append((member, 1.0 if weight is None else weight))
-    channels = tuple(channel for channel, _ in _named(values, entries.get("channels"), "a channel", ("name",)))
+    channels = tuple(channel for channel, _ in _named_objects(values, entries.get("channels"), "a channel", ("name",)))
     return TransformGroup(name, tuple(members), channels) if name is not None else None
 
 
-def _named(values: Values, node: Node | None, what: str, known: tuple[str, ...]) -> list[tuple[str, Mapping[str, Node]]]:
+def _named_objects(values: Values, node: Node | None, what: str, known: tuple[str, ...]) -> list[tuple[str, Mapping[str, Node]]]:
     """Return the objects of a list, each with a unique name."""
     objects: dict[str, tuple[Span, Mapping[str, Node]]] = {}
     for each in values.items(node, "objects with a `name`") if node is not None else ():
@@ -276,7 +280,7 @@ def _named(values: Values, node: Node | None, what: str, known: tuple[str, ...])
         if entries is None or name is None:
             continue
         if name in objects:
-            values.twice(entries["name"], f"`{name}` is given twice", objects[name][0])
+            values.report_repeated(entries["name"], f"`{name}` is given twice", objects[name][0])
         else:
             objects[name] = (values.span(entries["name"]), entries)
     return [(name, entries) for name, (_, entries) in objects.items()]
@@ -284,7 +288,7 @@ def _named(values: Values, node: Node | None, what: str, known: tuple[str, ...])
 
 def write_group(group: TransformGroup) -> str:
     """A transform group as text in the documented form."""
-    members = [{"name": name, "weight": _short(weight)} for name, weight in group.members]
+    members = [{"name": name, "weight": _integral(weight)} for name, weight in group.members]
     channels = [{"name": name} for name in group.channels]
     return json_text({"version": 2, "name": group.name, "members": members, "channels": channels})
 
@@ -300,6 +304,6 @@ def json_text(value: Any) -> str:
     return _ROWS.sub(lambda match: f"[{', '.join(match[1].replace(',', ' ').split())}]", text) + "\n"
 
 
-def _short(number: float) -> int | float:
+def _integral(number: float) -> int | float:
     """A whole number without its fraction, as the documented forms write it."""
     return int(number) if float(number).is_integer() and abs(number) < 2**53 else float(number)

@@ -16,7 +16,7 @@ from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, BodyError, Definition, Layer, Rig
 from antdsl.bodies.agents.transforms import matrix_of, unit_quaternion
 from antdsl.bodies.files.gltf_clips import read_clips
-from antdsl.bodies.files.gltf_shapes import GltfBody, read_shape, rigid, unused
+from antdsl.bodies.files.gltf_shapes import GltfBody, read_shape, rigid_capture, unused_name
 from antdsl.scene.geometry.gltf_file import Gltf, GltfError, node_parents, nodes_below, scene_roots
 
 Floats = NDArray[np.float64]
@@ -34,22 +34,22 @@ def read_gltf(
     BodyError."""
     with np.errstate(all="ignore"):  # values that are not finite are reported where they are detected
         try:
-            return _read(data, name, beside, rate, pose)
+            return _read_definition(data, name, beside, rate, pose)
         except GltfError as why:
             raise BodyError(str(why), why.help, why.code or "bad-body") from None
 
 
-def _read(
+def _read_definition(
     data: bytes, name: str, beside: Callable[[str, int], bytes], rate: float, pose: Rig | None
 ) -> tuple[Definition, list[str]]:
     body = GltfBody(Gltf(data, beside))
     parents = node_parents(body.file)
     joint_nodes = _find_joint_nodes(body.file, parents)
     body.joint = _unique_names(body.file, joint_nodes)
-    rig = _rig(body, joint_nodes, parents)
-    layer = _layer(body)
+    rig = _build_rig(body, joint_nodes, parents)
+    layer = _read_layer(body)
     rig = replace(rig, channels=tuple(body.channels.values()))
-    clips = read_clips(body.file, body.joint, body.weights, _posed(rig, pose), rate)
+    clips = read_clips(body.file, body.joint, body.weights, _with_rest_pose(rig, pose), rate)
     definition = Definition(
         name, rig, body.shapes, {LAYER: layer} if body.shapes else {}, {clip.name: clip for clip in clips},
         materials=body.materials, front=(0.0, 0.0, 1.0), up=(0.0, 1.0, 0.0), unit=1000.0,
@@ -69,11 +69,11 @@ def _find_joint_nodes(file: Gltf, parents: list[int]) -> list[int]:
         if "mesh" in nodes[number] and "skin" not in nodes[number]:
             joint_nodes.add(number)
     for skin in file.top("skins"):
-        joint_nodes.update(file.number_of(joint, "node", len(nodes)) for joint in file.listed(skin, "joints"))
+        joint_nodes.update(file.check_index(joint, "node", len(nodes)) for joint in file.get_list(skin, "joints"))
     for animation in file.top("animations"):
-        for channel in file.objects(animation, "channels"):
-            target = file.object(channel, "target")
-            node = file.index(target, "node", len(nodes))
+        for channel in file.get_objects(animation, "channels"):
+            target = file.get_object(channel, "target")
+            node = file.get_index(target, "node", len(nodes))
             if node is not None and target.get("path") != "weights":
                 joint_nodes.add(node)
     for number in list(joint_nodes):
@@ -96,13 +96,13 @@ def _unique_names(file: Gltf, joint_nodes: list[int]) -> dict[int, str]:
     names: dict[int, str] = {}
     taken: set[str] = set()
     for number in joint_nodes:
-        name = unused(file.name(file.top("nodes")[number], f"node{number}"), taken)
+        name = unused_name(file.name(file.top("nodes")[number], f"node{number}"), taken)
         taken.add(name)
         names[number] = name
     return names
 
 
-def _rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Rig:
+def _build_rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Rig:
     place = {number: count for count, number in enumerate(joint_nodes)}
     rest = np.array([local_matrix(body.file, body.file.top("nodes")[number]) for number in joint_nodes]).reshape(-1, 4, 4)
     return Rig(
@@ -112,7 +112,7 @@ def _rig(body: GltfBody, joint_nodes: list[int], parents: list[int]) -> Rig:
     )
 
 
-def _posed(rig: Rig, pose: Rig | None) -> Rig:
+def _with_rest_pose(rig: Rig, pose: Rig | None) -> Rig:
     """Return a rig with the rest pose of the joints that another rig has by the same names."""
     if pose is None:
         return rig
@@ -126,7 +126,7 @@ def _posed(rig: Rig, pose: Rig | None) -> Rig:
 def local_matrix(file: Gltf, node: dict[str, Any]) -> Floats:
     """The matrix float64[4, 4] of a node."""
     if "matrix" in node:
-        matrix = file.floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
+        matrix = file.get_floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T
         return np.concatenate([matrix[:3], [[0.0, 0.0, 0.0, 1.0]]])
     translation, rotation, scale = local_parts(file, node)
     return matrix_of(translation, rotation, scale)
@@ -134,14 +134,14 @@ def local_matrix(file: Gltf, node: dict[str, Any]) -> Floats:
 
 def local_parts(file: Gltf, node: dict[str, Any]) -> tuple[Floats, Floats, Floats]:
     """Translation, rotation and scale of a node that has no matrix."""
-    rotation = unit_quaternion(file.floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)))
-    return file.floats(node, "translation", (0.0, 0.0, 0.0)), rotation, file.floats(node, "scale", (1.0, 1.0, 1.0))
+    rotation = unit_quaternion(file.get_floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)))
+    return file.get_floats(node, "translation", (0.0, 0.0, 0.0)), rotation, file.get_floats(node, "scale", (1.0, 1.0, 1.0))
 
 
 # ---- shapes
 
 
-def _layer(body: GltfBody) -> Layer:
+def _read_layer(body: GltfBody) -> Layer:
     """Return the layer of all meshes, and read them into shapes."""
     file = body.file
     nodes, meshes, skins = file.top("nodes"), file.top("meshes"), file.top("skins")
@@ -151,13 +151,13 @@ def _layer(body: GltfBody) -> Layer:
     scene_nodes = nodes_below(file, roots) if roots else list(range(len(nodes)))
     for number in scene_nodes:
         node = nodes[number]
-        mesh, skin = file.index(node, "mesh", len(meshes)), file.index(node, "skin", len(skins))
+        mesh, skin = file.get_index(node, "mesh", len(meshes)), file.get_index(node, "skin", len(skins))
         if mesh is None:
             continue
-        morphs = any("targets" in each for each in file.objects(meshes[mesh], "primitives"))
+        morphs = any("targets" in each for each in file.get_objects(meshes[mesh], "primitives"))
         key = (mesh, -1 if skin is None else skin, number if morphs else -1)
         if key not in known:
-            name = unused(file.name(meshes[mesh], file.name(node, f"mesh{mesh}")), body.shapes)
+            name = unused_name(file.name(meshes[mesh], file.name(node, f"mesh{mesh}")), body.shapes)
             if not read_shape(body, name, meshes[mesh], None if skin is None else skins[skin], node):
                 continue
             known[key] = name
@@ -168,6 +168,6 @@ def _layer(body: GltfBody) -> Layer:
             static.append(Binding(body.joint[number], shape.name))
             continue
         if skin is None:
-            body.shapes[shape.name] = replace(shape, capture=rigid(body.joint[number], len(shape.points)))
+            body.shapes[shape.name] = replace(shape, capture=rigid_capture(body.joint[number], len(shape.points)))
         deforming.append(Binding("", shape.name, deformer="blendshape+linearskinning" if morphs else "linearskinning"))
     return Layer(LAYER, tuple(static), tuple(deforming))

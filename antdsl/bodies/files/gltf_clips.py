@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import BodyError, Clip, Rig
-from antdsl.bodies.agents.transforms import between_rotations, one_sign, parts_of, unit_quaternion
+from antdsl.bodies.agents.transforms import align_signs, parts_of, slerp, unit_quaternion
 from antdsl.scene.geometry.gltf_file import Gltf
 
 Floats = NDArray[np.float64]
@@ -35,7 +35,7 @@ def read_clips(file: Gltf, joint: Mapping[int, str], weights: Mapping[int, tuple
         own = name
         while name in clips:
             name, count = f"{own}_{count}", count + 1
-        clip, size = _clip(file, animation, name, joint, weights, rig, rate, left)
+        clip, size = _read_clip(file, animation, name, joint, weights, rig, rate, left)
         left -= size
         if clip is not None:
             clips[name] = clip
@@ -50,22 +50,22 @@ def even_times(seconds: float, rate: float) -> tuple[NDArray[Any], float]:
     return np.arange(steps + 1, dtype=np.float64) * (seconds / steps), steps / seconds
 
 
-def _clip(
+def _read_clip(
     file: Gltf, animation: dict[str, Any], name: str, joint: Mapping[int, str], weights: Mapping[int, tuple[str, ...]],
     rig: Rig, rate: float, left: int,
 ) -> tuple[Clip | None, int]:  # fmt: skip
     """Return a clip and its bytes, at most `left`."""
     moved: dict[str, dict[str, _Keys]] = {}
     shares: dict[str, tuple[_Keys, int]] = {}
-    samplers = file.objects(animation, "samplers")
+    samplers = file.get_objects(animation, "samplers")
     seconds = 0.0
-    for channel in file.objects(animation, "channels"):
-        target = file.object(channel, "target")
+    for channel in file.get_objects(animation, "channels"):
+        target = file.get_object(channel, "target")
         node, path = target.get("node"), target.get("path")
         if node is None:
             continue
-        node = file.number_of(node, "node", len(file.top("nodes")))
-        sampler = samplers[file.number_of(channel.get("sampler"), "sampler", len(samplers))]
+        node = file.check_index(node, "node", len(file.top("nodes")))
+        sampler = samplers[file.check_index(channel.get("sampler"), "sampler", len(samplers))]
         if isinstance(path, str) and path in _WIDTHS and node in joint:
             moved.setdefault(joint[node], {})[path] = keys = _Keys(file, sampler, _WIDTHS[path])
         elif path == "weights" and node in weights:
@@ -78,7 +78,7 @@ def _clip(
         return None, 0
     if seconds * rate > limits.CLIP_SAMPLES:
         raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
-    settings = _settings(animation, name)
+    settings = _read_settings(animation, name)
     times, rate = even_times(seconds, float(settings.get("rate", rate)))
     if "rate" in settings and abs(rate - settings["rate"]) <= _SAME * rate:  # float32 keys do not hold it to the last bit
         rate = float(settings["rate"])
@@ -98,7 +98,7 @@ def _clip(
         raise BodyError(f"has a clip `{name}` with a value that is not finite", _EXPORT)
     clip = Clip(
         name, rate, joints,
-        translation.astype(np.float32), one_sign(unit_quaternion(rotation)).astype(np.float32), scale.astype(np.float32),
+        translation.astype(np.float32), align_signs(unit_quaternion(rotation)).astype(np.float32), scale.astype(np.float32),
         shear.astype(np.float32) if (np.abs(shear) > 1e-6).any() else None,
         tuple(shares), np.ascontiguousarray(values, np.float32), settings.get("loop", True), float(settings.get("stride", 0.0)),
         {mark: float(mark_time) for mark, mark_time in settings.get("marks", {}).items()}, settings.get("feet", True),
@@ -116,7 +116,7 @@ def write_settings(clip: Clip) -> dict[str, Any]:
     return {EXTRAS: settings}
 
 
-def _settings(animation: dict[str, Any], name: str) -> dict[str, Any]:
+def _read_settings(animation: dict[str, Any], name: str) -> dict[str, Any]:
     """Return what `write_settings` wrote, if it is there. Raises BodyError for any other values."""
     extras = animation.get("extras")
     settings = extras.get(EXTRAS) if isinstance(extras, dict) else None
@@ -145,8 +145,8 @@ class _Keys:
         self.kind = sampler.get("interpolation", "LINEAR")
         if self.kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
             raise BodyError(f"has keys of the kind `{str(self.kind)[:20]}`, which is not known", _EXPORT)
-        self.times = file.accessor(sampler.get("input"), 1)[:, 0].astype(np.float64)
-        values = file.accessor(sampler.get("output")).astype(np.float64)
+        self.times = file.read_accessor(sampler.get("input"), 1)[:, 0].astype(np.float64)
+        values = file.read_accessor(sampler.get("output")).astype(np.float64)
         count, each = len(self.times), 3 if self.kind == "CUBICSPLINE" else 1
         if not count or not np.isfinite(self.times).all() or (np.diff(self.times) < 0).any() or self.times[0] < 0:
             raise BodyError("has key times that do not rise from 0", _EXPORT)
@@ -168,12 +168,12 @@ class _Keys:
         if self.kind == "STEP":
             return np.where(share[:, None] >= 1.0, own[previous_key + 1], own[previous_key])
         if self.kind == "CUBICSPLINE":
-            return self._spline(previous_key, share, step)
+            return self._sample_spline(previous_key, share, step)
         if rotation:
-            return between_rotations(unit_quaternion(own[previous_key]), unit_quaternion(own[previous_key + 1]), share)
+            return slerp(unit_quaternion(own[previous_key]), unit_quaternion(own[previous_key + 1]), share)
         return own[previous_key] + share[:, None] * (own[previous_key + 1] - own[previous_key])
 
-    def _spline(self, previous_key: NDArray[np.int64], share: Floats, step: Floats) -> Floats:
+    def _sample_spline(self, previous_key: NDArray[np.int64], share: Floats, step: Floats) -> Floats:
         """Hermite splines: tangents are per second."""
         t, d = share[:, None], step[:, None]
         t2, t3 = t * t, t * t * t

@@ -34,7 +34,7 @@ class GltfBody:
     points: int = 0
 
 
-def unused(name: str, taken: Iterable[str]) -> str:
+def unused_name(name: str, taken: Iterable[str]) -> str:
     """Return a name that is not taken: itself, or with the first free number appended."""
     taken = taken if isinstance(taken, set | dict) else set(taken)
     candidate, count = name, 2
@@ -44,7 +44,7 @@ def unused(name: str, taken: Iterable[str]) -> str:
 
 
 @dataclass(slots=True)
-class _Pieces:
+class _MeshPieces:
     """The primitives of a mesh in sequence. Primitives with identical points store them once; `of` gives the index of each one's
     points."""
 
@@ -63,9 +63,9 @@ class _Pieces:
 
 def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, Any] | None, node: dict[str, Any]) -> bool:
     """Read a mesh into the shape `name`, and its morph targets into further shapes. Return False if it has no triangles."""
-    file, pieces = body.file, _Pieces()
-    for primitive in file.objects(mesh, "primitives"):
-        _piece(body, pieces, primitive, skin is not None)
+    file, pieces = body.file, _MeshPieces()
+    for primitive in file.get_objects(mesh, "primitives"):
+        _read_piece(body, pieces, primitive, skin is not None)
     if not pieces.points:
         body.left_out[f"the mesh `{name}` has no triangles"] = None
         return False
@@ -74,63 +74,63 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     faces = np.concatenate([f + starts[of] for f, of in zip(pieces.faces, pieces.of, strict=True)]).astype(np.int32)
     points = np.concatenate(pieces.points).astype(np.float32)
     with_normals = all(each is not None for each in pieces.normals)
-    normals = _units(np.concatenate([each for each in pieces.normals if each is not None])) if with_normals else None
+    normals = _normalise(np.concatenate([each for each in pieces.normals if each is not None])) if with_normals else None
     uvs = None
     if any(each is not None for each in pieces.uvs):
         all_uvs = [np.zeros((n, 2)) if each is None else each for each, n in zip(pieces.uvs, counts, strict=True)]
         uvs = np.concatenate(all_uvs).astype(np.float32)
-    materials, material = _materials(body, pieces)
+    materials, material = _read_materials(body, pieces)
     common = set.intersection(*(set(each) for each in pieces.further))
     further = {key: np.concatenate([each[key] for each in pieces.further]) for key in sorted(common)}
     shape = Shape(name, points, faces, normals, uvs, materials, material, further)
     if skin is not None:
-        shape = replace(shape, capture=_capture(body, pieces, skin, name))
+        shape = replace(shape, capture=_read_capture(body, pieces, skin, name))
     body.shapes[name] = shape
     number = len(pieces.targets[0])
     if any(len(each) != number for each in pieces.targets):
         raise BodyError(f"has a mesh `{name}` with different numbers of morph targets in its primitives", _EXPORT)
     if number:
-        body.shapes[name] = replace(shape, blend=_targets(body, shape, pieces, mesh, node))
+        body.shapes[name] = replace(shape, blend=_read_targets(body, shape, pieces, mesh, node))
     return True
 
 
-def _units(normals: Floats) -> NDArray[np.float32]:
+def _normalise(normals: Floats) -> NDArray[np.float32]:
     """Return normals (n, 3) scaled to length 1: normals that a file stores as integers are a little longer or shorter."""
     length = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
     off = (np.abs(length - 1.0) > _OFF) & (length > 1e-12)
     return np.where(off, normals / np.where(off, length, 1.0), normals).astype(np.float32)
 
 
-def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: bool) -> None:
+def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], skinned: bool) -> None:
     file = body.file
     if primitive.get("mode", TRIANGLES) not in (TRIANGLES, STRIP, FAN):
         body.left_out["points and lines of meshes are not read"] = None
         return
-    if "KHR_draco_mesh_compression" in file.object(primitive, "extensions"):
+    if "KHR_draco_mesh_compression" in file.get_object(primitive, "extensions"):
         body.left_out["what is compressed with Draco is not read"] = None
         return
-    attributes = file.object(primitive, "attributes")
+    attributes = file.get_object(primitive, "attributes")
     if "POSITION" not in attributes:
         body.left_out["a primitive of a mesh has no positions"] = None
         return
-    shared = repr((sorted(map(str, attributes.items())), file.listed(primitive, "targets")))
-    points = file.accessor(attributes["POSITION"], 3).astype(np.float64)
+    shared = repr((sorted(map(str, attributes.items())), file.get_list(primitive, "targets")))
+    points = file.read_accessor(attributes["POSITION"], 3).astype(np.float64)
     if shared in pieces.known:
-        _faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points))[0], pieces.known[shared])
+        _read_faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points))[0], pieces.known[shared])
         return
-    body.points += len(points) * (1 + len(file.listed(primitive, "targets")))
+    body.points += len(points) * (1 + len(file.get_list(primitive, "targets")))
     if body.points > limits.BODY_POINTS:
         raise BodyError(f"has more than {limits.BODY_POINTS:,} points, morph targets among them", code="too-large")
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
         raise BodyError("has a point that is not finite", _EXPORT)
-    if not _faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points))[0], len(pieces.points)):
+    if not _read_faces(body, pieces, primitive, primitive_triangles(file, primitive, len(points))[0], len(pieces.points)):
         return
     pieces.known[shared] = len(pieces.points)
 
     def of_points(key: str, width: int) -> Floats | None:
         if key not in attributes:
             return None
-        array = file.accessor(attributes[key], width)
+        array = file.read_accessor(attributes[key], width)
         if len(array) != len(points) or not np.isfinite(array).all():
             raise BodyError(
                 f"has `{key}` of {len(array):,} values for {len(points):,} points, or one that is not finite", _EXPORT
@@ -141,39 +141,39 @@ def _piece(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], skinned: 
     pieces.normals.append(of_points("NORMAL", 3))
     pieces.uvs.append(of_points("TEXCOORD_0", 2))
     pieces.targets.append([])
-    for target in file.objects(primitive, "targets"):
-        moved = [_target(file, target, key, len(points)) for key in ("POSITION", "NORMAL")]
+    for target in file.get_objects(primitive, "targets"):
+        moved = [_read_target(file, target, key, len(points)) for key in ("POSITION", "NORMAL")]
         pieces.targets[-1].append((np.zeros((len(points), 3)) if moved[0] is None else moved[0], moved[1]))
     pieces.further.append({})
     for key in attributes:
         if isinstance(key, str) and key.startswith("_") and key.strip("_"):
-            values = file.accessor(attributes[key])
+            values = file.read_accessor(attributes[key])
             if len(values) == len(points) and values.shape[1] == 1 and np.isfinite(values).all():
                 is_integer = values.dtype == np.int64
                 pieces.further[-1][key.strip("_").lower()] = values[:, 0].astype(np.int64 if is_integer else np.float32)
     if skinned:
-        _follow(pieces, of_points, len(points))
+        _read_joint_weights(pieces, of_points, len(points))
 
 
-def _faces(body: GltfBody, pieces: _Pieces, primitive: dict[str, Any], faces: NDArray[np.int64], of: int) -> bool:
+def _read_faces(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], faces: NDArray[np.int64], of: int) -> bool:
     """Append the triangles of a primitive, with points from the piece `of`. Return False if there are none."""
     if len(faces):
         pieces.faces.append(faces)
         pieces.of.append(of)
-        pieces.material.append(body.file.index(primitive, "material", len(body.file.top("materials"))))
+        pieces.material.append(body.file.get_index(primitive, "material", len(body.file.top("materials"))))
     return len(faces) > 0
 
 
-def _target(file: Gltf, target: dict[str, Any], key: str, count: int) -> Floats | None:
+def _read_target(file: Gltf, target: dict[str, Any], key: str, count: int) -> Floats | None:
     if key not in target:
         return None
-    offsets = file.accessor(target[key], 3)
+    offsets = file.read_accessor(target[key], 3)
     if len(offsets) != count or not np.isfinite(offsets).all():
         raise BodyError(f"has a morph target of {len(offsets):,} values for {count:,} points, or one that is not finite", _EXPORT)
     return offsets.astype(np.float64)
 
 
-def _follow(pieces: _Pieces, of_points: Callable[[str, int], Floats | None], count: int) -> None:
+def _read_joint_weights(pieces: _MeshPieces, of_points: Callable[[str, int], Floats | None], count: int) -> None:
     """The joints of each point with their weights, in as many columns as the file has."""
     joints: list[NDArray[np.int64]] = []
     weights: list[Floats] = []
@@ -187,27 +187,27 @@ def _follow(pieces: _Pieces, of_points: Callable[[str, int], Floats | None], cou
     pieces.weights.append(np.concatenate(weights, axis=1) if weights else np.zeros((count, 4)))
 
 
-def _capture(body: GltfBody, pieces: _Pieces, skin: dict[str, Any], name: str) -> Capture:
+def _read_capture(body: GltfBody, pieces: _MeshPieces, skin: dict[str, Any], name: str) -> Capture:
     file = body.file
-    names = tuple(body.joint[number] for number in file.listed(skin, "joints"))
+    names = tuple(body.joint[number] for number in file.get_list(skin, "joints"))
     if not names:
         raise BodyError("has a skin without joints", _EXPORT)
     inverse = np.tile(np.eye(4), (len(names), 1, 1))
     if "inverseBindMatrices" in skin:
-        matrices = file.accessor(skin["inverseBindMatrices"], 16)
+        matrices = file.read_accessor(skin["inverseBindMatrices"], 16)
         if len(matrices) < len(names) or not np.isfinite(matrices).all():
             raise BodyError(f"has {len(matrices)} inverse bind matrices for {len(names)} joints, or one not finite", _EXPORT)
         inverse = np.ascontiguousarray(matrices[: len(names)].astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1))
     columns = max(each.shape[1] for each in pieces.joints)
     joints = np.concatenate([np.pad(each, ((0, 0), (0, columns - each.shape[1]))) for each in pieces.joints])
     weights = np.concatenate([np.pad(each, ((0, 0), (0, columns - each.shape[1]))) for each in pieces.weights])
-    joints, weights, lone = captured(joints, weights, len(names))
+    joints, weights, lone = clean_capture(joints, weights, len(names))
     if lone:
         body.left_out[f"{lone:,} points of `{name}` follow no joint, and were given to `{names[0]}`"] = None
     return Capture(names, joints, weights, inverse)
 
 
-def captured(joints: NDArray[np.int64], weights: Floats, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], int]:
+def clean_capture(joints: NDArray[np.int64], weights: Floats, count: int) -> tuple[NDArray[np.int32], NDArray[np.float32], int]:
     """Return joints int32[P, K], weights float32[P, K] that add up to 1, and the number of points that followed no joint. Unused
     columns are removed. Points without a joint follow the first of the `count` joints. Raises BodyError for a joint number out of
     range."""
@@ -222,13 +222,13 @@ def captured(joints: NDArray[np.int64], weights: Floats, count: int) -> tuple[ND
     return joints[:, needed].astype(np.int32), weights[:, needed].astype(np.float32), int(lone.sum())
 
 
-def rigid(joint: str, points: int) -> Capture:
+def rigid_capture(joint: str, points: int) -> Capture:
     """Return a capture in which all points follow one joint and are in its space. A shape that is blended first then moves with
     that joint."""
     return Capture((joint,), np.zeros((points, 1), np.int32), np.ones((points, 1), np.float32), np.eye(4)[None])
 
 
-def _targets(body: GltfBody, shape: Shape, pieces: _Pieces, mesh: dict[str, Any], node: dict[str, Any]) -> Blend:
+def _read_targets(body: GltfBody, shape: Shape, pieces: _MeshPieces, mesh: dict[str, Any], node: dict[str, Any]) -> Blend:
     """Shapes of the library for the morph targets of a mesh, and channels that weigh them."""
     file, number = body.file, len(pieces.targets[0])
     extras = mesh.get("extras")
@@ -238,12 +238,12 @@ def _targets(body: GltfBody, shape: Shape, pieces: _Pieces, mesh: dict[str, Any]
         if isinstance(target_names, list) and len(target_names) == number and all(isinstance(n, str) and n for n in target_names)
         else None
     )
-    weights = file.floats(node if "weights" in node else mesh, "weights", (0.0,) * number)
+    weights = file.get_floats(node if "weights" in node else mesh, "weights", (0.0,) * number)
     shapes, channels = [], []
     for count in range(number):
         own = names[count][:200] if names else f"target{count}"
-        name = unused(f"{shape.name}.{own}", body.shapes)
-        channel = unused(name, body.channels)
+        name = unused_name(f"{shape.name}.{own}", body.shapes)
+        channel = unused_name(name, body.channels)
         moved = np.concatenate([each[count][0] for each in pieces.targets])
         normals = shape.normals
         if normals is not None:
@@ -259,7 +259,7 @@ def _targets(body: GltfBody, shape: Shape, pieces: _Pieces, mesh: dict[str, Any]
     return Blend(tuple(shapes), tuple(channels), ("P", "N") if shape.normals is not None else ("P",))
 
 
-def _materials(body: GltfBody, pieces: _Pieces) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
+def _read_materials(body: GltfBody, pieces: _MeshPieces) -> tuple[tuple[str, ...], NDArray[np.int32] | None]:
     """Return the names of a shape's materials, and the material number of each triangle; add their base colours to the
     definition."""
     file, known = body.file, body.file.top("materials")
@@ -271,10 +271,10 @@ def _materials(body: GltfBody, pieces: _Pieces) -> tuple[tuple[str, ...], NDArra
         name = "default" if material is None else file.name(known[material], f"material{material}")
         colour = (1.0, 1.0, 1.0)
         if material is not None:
-            pbr = file.object(known[material], "pbrMetallicRoughness")
+            pbr = file.get_object(known[material], "pbrMetallicRoughness")
             if "baseColorTexture" in pbr:
                 body.left_out[f"the texture of `{name}` is not read, its base colour is"] = None
-            red, green, blue, _ = np.clip(file.floats(pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0)), 0.0, 1.0)
+            red, green, blue, _ = np.clip(file.get_floats(pbr, "baseColorFactor", (1.0, 1.0, 1.0, 1.0)), 0.0, 1.0)
             colour = (float(red), float(green), float(blue))
         if name != STATE:
             body.materials.setdefault(name, colour)

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.blend_shapes import difference, knots_of, matched, shares_of, values_of
+from antdsl.bodies.agents.blend_shapes import attribute_difference, knots_of, match_points, shares_of, values_of
 from antdsl.bodies.agents.definition import Definition, Shape
 
 VERTICES, INDICES = 34962, 34963  # what a buffer view is bound as
@@ -80,7 +80,7 @@ class ShapeParts:
         self.writer, self.shape = writer, shape
         self.attributes = {"POSITION": writer.accessor(shape.points, "f4", VERTICES, bounds=True)}
         if normals is not None:
-            self.attributes["NORMAL"] = writer.accessor(_units(normals), "f4", VERTICES)
+            self.attributes["NORMAL"] = writer.accessor(_normalise(normals), "f4", VERTICES)
         if shape.uvs is not None:
             self.attributes["TEXCOORD_0"] = writer.accessor(shape.uvs, "f4", VERTICES)
         for name, values in shape.attributes.items():
@@ -88,12 +88,12 @@ class ShapeParts:
                 is_integer = values.dtype.kind == "i" and len(values) and values.min() >= 0 and values.max() < 2**32
                 if is_integer or values.dtype.kind == "f":
                     self.attributes[f"_{name.upper()}"] = writer.accessor(values, "u4" if is_integer else "f4", VERTICES)
-        self._capture()
+        self._add_capture()
         self.targets = Targets(body, shape) if shape.blend is not None else None
-        self._moved = [] if self.targets is None else [self._target(*each) for each in self.targets.moved]
+        self._moved = [] if self.targets is None else [self._add_target(*each) for each in self.targets.moved]
         self._kinds = self._by_material()
 
-    def _capture(self) -> None:
+    def _add_capture(self) -> None:
         """Write the joints that points follow in sets of four, sorted by descending weight."""
         capture = self.shape.capture
         if capture is None:
@@ -107,7 +107,7 @@ class ShapeParts:
             self.attributes[f"JOINTS_{k // 4}"] = self.writer.accessor(influences[0], "u2", VERTICES)
             self.attributes[f"WEIGHTS_{k // 4}"] = self.writer.accessor(influences[1], "f4", VERTICES)
 
-    def _target(self, points: NDArray[np.float32], normals: NDArray[np.float32] | None) -> Entry:
+    def _add_target(self, points: NDArray[np.float32], normals: NDArray[np.float32] | None) -> Entry:
         entry = {"POSITION": self.writer.accessor(points, "f4", VERTICES, bounds=True)}
         if normals is not None and "NORMAL" in self.attributes:
             entry["NORMAL"] = self.writer.accessor(normals, "f4", VERTICES)
@@ -139,7 +139,7 @@ class ShapeParts:
             entry["extras"] = {"targetNames": list(self.targets.names)}
         return self.writer.add("meshes", entry)
 
-    def skin(self, nodes: dict[str, int], top: int) -> int:
+    def add_skin(self, nodes: dict[str, int], top: int) -> int:
         """Add the skin by which the shape follows its joints, with the nodes of these given by name, and return its number."""
         capture = self.shape.capture
         assert capture is not None
@@ -166,18 +166,18 @@ class Targets:
             self.plain &= len(targets) == 1
             for target in targets:
                 self.names.append(target.name)
-                moved = [self._moved(shape, target, each, each in shape.blend.attributes) for each in "PN"]
+                moved = [self._attribute_offset(shape, target, each, each in shape.blend.attributes) for each in "PN"]
                 assert moved[0] is not None
                 self.moved.append((moved[0], moved[1]))
 
     @staticmethod
-    def _moved(shape: Shape, target: Shape, which: str, blended: bool) -> NDArray[np.float32] | None:
+    def _attribute_offset(shape: Shape, target: Shape, which: str, blended: bool) -> NDArray[np.float32] | None:
         if not blended or values_of(shape, which) is None or values_of(target, which) is None:
             return np.zeros((len(shape.points), 3), np.float32) if which == "P" else None
         assert shape.blend is not None
-        base_points, target_points = matched(shape, target, shape.blend.point_id)
+        base_points, target_points = match_points(shape, target, shape.blend.point_id)
         offsets = np.zeros((len(shape.points), 3), np.float32)
-        offsets[base_points] = difference(shape, target, which, base_points, target_points).T
+        offsets[base_points] = attribute_difference(shape, target, which, base_points, target_points).T
         return offsets
 
     def weights(self, channels: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -186,7 +186,7 @@ class Targets:
         return np.concatenate(shares).T if shares else np.zeros((len(channels), 0), np.float32)
 
 
-def _units(normals: NDArray[np.float32]) -> NDArray[np.float32]:
+def _normalise(normals: NDArray[np.float32]) -> NDArray[np.float32]:
     """Return normals of length 1, to the precision that the format requires; a zero normal becomes up."""
     wide = normals.astype(np.float64)
     length = np.sqrt((wide * wide).sum(axis=1, keepdims=True))

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from antdsl import __version__
 from antdsl.bodies.agents.definition import Binding, Clip, Definition, Layer
-from antdsl.bodies.agents.other_axes import in_axes
+from antdsl.bodies.agents.other_axes import convert_axes
 from antdsl.bodies.agents.transforms import matrix_of, parts_of
 from antdsl.bodies.files.gltf_clips import write_settings
 from antdsl.bodies.files.gltf_writer import Entry, GltfWriter, ShapeParts
@@ -21,12 +21,12 @@ _STILL: dict[str, tuple[float, ...]] = {"translation": (0, 0, 0), "rotation": (0
 def write_gltf(body: Definition, layer: Layer, *, text: bool) -> tuple[bytes, list[str]]:
     """Return the bytes of a .gltf (`text`) or .glb file of a definition with the shapes of one layer, and sentences about what
     glTF cannot store."""
-    document = _Written(in_axes(body, FRONT, UP, METRE), layer)
+    document = _GltfParts(convert_axes(body, FRONT, UP, METRE), layer)
     data = document.writer.bytes(text, scene=0, scenes=[{"nodes": document.roots}])
-    return data, [*document.notes, *_left_out(body, layer)]
+    return data, [*document.notes, *_list_omissions(body, layer)]
 
 
-def _left_out(body: Definition, layer: Layer) -> list[str]:
+def _list_omissions(body: Definition, layer: Layer) -> list[str]:
     drawn = {binding.shape for binding in (*layer.static, *layer.deforming)}
     inputs = {s for shape in body.shapes.values() for s in (shape.blend.shapes if shape.blend else ())}
     others = [name for name in body.shapes if name not in drawn | inputs]
@@ -45,7 +45,7 @@ def _left_out(body: Definition, layer: Layer) -> list[str]:
     return notes
 
 
-class _Written:
+class _GltfParts:
     """The parts of a file, made in order."""
 
     def __init__(self, body: Definition, layer: Layer) -> None:
@@ -53,15 +53,15 @@ class _Written:
         self.nodes: dict[str, int] = {}
         self.roots: list[int] = []
         self._morphs: list[tuple[int, ShapeParts]] = []
-        self._joints()
-        self._materials = {name: self._material(name, colour) for name, colour in body.materials.items()}
+        self._add_joints()
+        self._materials = {name: self._add_material(name, colour) for name, colour in body.materials.items()}
         self._parts: dict[str, ShapeParts] = {}
         for binding in (*layer.static, *layer.deforming):
-            self._bind(binding)
+            self._add_binding(binding)
         for clip in body.clips.values():
-            self._clip(clip)
+            self._add_clip(clip)
 
-    def _joints(self) -> None:
+    def _add_joints(self) -> None:
         rig = self.body.rig
         moved = {joint for clip in self.body.clips.values() for joint in clip.joints}
         parts = parts_of(rig.rest)
@@ -81,11 +81,11 @@ class _Written:
                 above = self.writer.entry("nodes", self.nodes[rig.names[rig.parents[number]]])
                 above.setdefault("children", []).append(self.nodes[name])
 
-    def _material(self, name: str, colour: tuple[float, float, float]) -> int:
+    def _add_material(self, name: str, colour: tuple[float, float, float]) -> int:
         pbr = {"baseColorFactor": [*colour, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.55}
         return self.writer.add("materials", {"name": name, "pbrMetallicRoughness": pbr})
 
-    def _bind(self, binding: Binding) -> None:
+    def _add_binding(self, binding: Binding) -> None:
         """Write a mesh. A skinned mesh becomes a node beside the joints; any other goes into its joint's node, or below it if
         that node has a mesh."""
         shape = self.body.shapes[binding.shape]
@@ -93,11 +93,11 @@ class _Written:
             self._parts[binding.shape] = ShapeParts(self.writer, self.body, shape, shape.normals)
             for name in shape.materials:
                 if name and name not in self._materials:
-                    self._materials[name] = self._material(name, _PLAIN)
+                    self._materials[name] = self._add_material(name, _PLAIN)
         parts = self._parts[binding.shape]
         mesh = parts.mesh(shape.name, self._materials)
         if "skinning" in binding.deformer and shape.capture is not None:
-            node = self.writer.add("nodes", {"name": shape.name, "mesh": mesh, "skin": parts.skin(self.nodes, self.roots[0])})
+            node = self.writer.add("nodes", {"name": shape.name, "mesh": mesh, "skin": parts.add_skin(self.nodes, self.roots[0])})
             self.roots.append(node)
         else:
             node = self.nodes.get(binding.transform, self.roots[0])
@@ -111,7 +111,7 @@ class _Written:
             self.writer.entry("meshes", mesh)["weights"] = rest
             self._morphs.append((node, parts))
 
-    def _clip(self, clip: Clip) -> None:
+    def _add_clip(self, clip: Clip) -> None:
         times = self.writer.accessor(np.arange(clip.samples) / clip.rate, bounds=True)
         samplers: list[Entry] = []
         channels: list[Entry] = []

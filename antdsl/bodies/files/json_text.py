@@ -27,7 +27,7 @@ class Node:
     numbers: bool = False
 
 
-class _Refused(Exception):
+class _SyntaxRefused(Exception):
     """Reading cannot continue; the finding is in the report already."""
 
 
@@ -51,7 +51,7 @@ def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
     reader = _Reader(source, what)
     try:
         return reader.document(), reader.report
-    except _Refused:
+    except _SyntaxRefused:
         return None, reader.report
 
 
@@ -69,13 +69,15 @@ class _Reader:
         self.report = Report()
         self.count = 0
 
-    def refuse(self, start: int, end: int, message: str, help: str | None, *labels: Label, code: str = "json-syntax") -> _Refused:
+    def refuse(
+        self, start: int, end: int, message: str, help: str | None, *labels: Label, code: str = "json-syntax"
+    ) -> _SyntaxRefused:
         if len(self.text) > start:
             end = max(end, start + 1)
         self.report.error(code, message, Span(self.source, start, end), help, labels=labels)
-        return _Refused()
+        return _SyntaxRefused()
 
-    def space(self, at: int) -> int:
+    def skip_space(self, at: int) -> int:
         match = _SPACE.match(self.text, at)
         assert match is not None
         at = match.end()
@@ -84,11 +86,11 @@ class _Reader:
         return at
 
     def document(self) -> Node:
-        at = self.space(0)
+        at = self.skip_space(0)
         if at == len(self.text):
             raise self.refuse(0, 0, f"the file is empty: expected {self.what}", "write `{ … }`")
         node = self.value(at, 0)
-        at = self.space(node.end)
+        at = self.skip_space(node.end)
         if at < len(self.text):
             raise self.refuse(at, at + 1, f"something stands behind the end of {self.what}", "delete it")
         return node
@@ -135,38 +137,38 @@ class _Reader:
         self.count += len(values) // 16  # a plain number takes less than a node
         return Node(values, at, match.end(), numbers=True)
 
-    def deeper(self, at: int, depth: int) -> int:
+    def next_depth(self, at: int, depth: int) -> int:
         if depth >= limits.NESTING:
             words = f"values lie more than {limits.NESTING} deep in each other"
             raise self.refuse(at, at + 1, words, None, code="too-large")
         return depth + 1
 
     def array(self, at: int, depth: int) -> Node:
-        depth, items, place = self.deeper(at, depth), [], self.space(at + 1)
+        depth, items, place = self.next_depth(at, depth), [], self.skip_space(at + 1)
         while self.text[place : place + 1] != "]":
-            items.append(self.value(self.needed(place, at, "]"), depth))
-            place = self.behind(items[-1].end, at, "]")
+            items.append(self.value(self.require_text(place, at, "]"), depth))
+            place = self.next_item(items[-1].end, at, "]")
         return Node(items, at, place + 1)
 
     def object(self, at: int, depth: int) -> Node:
-        depth, place = self.deeper(at, depth), self.space(at + 1)
+        depth, place = self.next_depth(at, depth), self.skip_space(at + 1)
         entries: dict[str, Node] = {}
         keys: dict[str, tuple[int, int]] = {}
         while self.text[place : place + 1] != "}":
-            key = self.key(self.needed(place, at, "}"))
+            key = self.key(self.require_text(place, at, "}"))
             name = str(key.value)
             if name in entries:
                 first = Label(Span(self.source, *keys[name]), "here first")
                 words = f"`{name[:60]}` is given twice"
                 raise self.refuse(key.start, key.end, words, "keep one of them", first, code="duplicate-key")
-            place = self.space(key.end)
+            place = self.skip_space(key.end)
             if self.text[place : place + 1] != ":":
                 raise self.refuse(place, place + 1, f"`:` is missing behind `{name[:60]}`", 'write `"key": value`')
-            place = self.needed(self.space(place + 1), at, "}")
+            place = self.require_text(self.skip_space(place + 1), at, "}")
             if self.text[place : place + 1] in (",", "}"):
                 raise self.refuse(key.start, key.end, f"`{name[:60]}` has no value", 'write `"key": value`')
             entries[name], keys[name] = self.value(place, depth), (key.start, key.end)
-            place = self.behind(entries[name].end, at, "}")
+            place = self.next_item(entries[name].end, at, "}")
         return Node(entries, at, place + 1, keys)
 
     def key(self, at: int) -> Node:
@@ -178,18 +180,18 @@ class _Reader:
         help = f'write `"{bare}"`' if re.fullmatch("[A-Za-z0-9_.-]+", bare) else 'write `"key": value`'
         raise self.refuse(at, at + len(word), f"a key stands in double quotes, and `{word}` does not", help)
 
-    def needed(self, at: int, opened: int, closing: str) -> int:
+    def require_text(self, at: int, opened: int, closing: str) -> int:
         """Return the position of a required value; report an error if the text ends before it."""
         if at >= len(self.text):
             opening = Label(Span(self.source, opened, opened + 1), "this is still open")
             raise self.refuse(at, at, f"the text ends before `{closing}`", f"write the missing `{closing}`", opening)
         return at
 
-    def behind(self, end: int, opened: int, closing: str) -> int:
+    def next_item(self, end: int, opened: int, closing: str) -> int:
         """Return the position after a value and its comma, where the next value or the closing bracket is."""
-        at = self.needed(self.space(end), opened, closing)
+        at = self.require_text(self.skip_space(end), opened, closing)
         if self.text[at] == ",":
-            return self.needed(self.space(at + 1), opened, closing)
+            return self.require_text(self.skip_space(at + 1), opened, closing)
         if self.text[at] != closing:
             opening = Label(Span(self.source, opened, opened + 1), "this is still open")
             help = f"write `,` between two values, or `{closing}` at the end"

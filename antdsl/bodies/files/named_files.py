@@ -42,7 +42,7 @@ _CLOSED = {
 }
 
 
-def ending(path: str) -> str:
+def file_ending(path: str) -> str:
     """The ending of a file's name in lower case, without its dot."""
     name = path.rsplit("/", 1)[-1]
     return name.rsplit(".", 1)[-1].lower() if "." in name else ""
@@ -67,20 +67,22 @@ class BodyFiles:
         """All of a file; PathRefused says why not."""
         return read_named(self.named[path], cap) if path in self.named else self.roots.read(path, cap)
 
-    def refused(self, why: PathRefused, place: Span | None) -> None:
+    def report_refusal(self, why: PathRefused, place: Span | None) -> None:
         self.report.error(why.code, str(why), place, why.help)
 
-    def closed(self, path: str, place: Span | None) -> bool:
+    def is_closed_format(self, path: str, place: Span | None) -> bool:
         """Report a kind of file that cannot be read here, with the alternative; return whether it is one."""
-        kind = ending(path)
+        kind = file_ending(path)
         if kind not in _CLOSED:
             return False
         self.report.error("wrong-kind", f"`{path[-80:]}` cannot be read here", place, _CLOSED[kind])
         return True
 
-    def part(self, path: str, what: str, read: Callable[[Values, Node], T], place: Span | None) -> tuple[T | None, Values | None]:
+    def read_part_file(
+        self, path: str, what: str, read: Callable[[Values, Node], T], place: Span | None
+    ) -> tuple[T | None, Values | None]:
         """Read a part from a separate JSON file. Return it with the values of that file, for later findings."""
-        if self.closed(path, place):
+        if self.is_closed_format(path, place):
             return None, None
         file_values: list[Values] = []
 
@@ -91,7 +93,7 @@ class BodyFiles:
         try:
             data = self.bytes_of(self.full(path), limits.BODY_TEXT_BYTES)
         except PathRefused as why:
-            self.refused(why, place)
+            self.report_refusal(why, place)
             return None, None
         result, report = read_part(data, self.display_path(path), what, noted)
         self.report.extend(report)
@@ -111,28 +113,28 @@ class BodyFiles:
         """Return the definition in a glTF or USD file, read once. `prim`: the USD prim to read, with all below it. `rate`:
         samples per second of its animations, 0 for the file's own. `pose`: rest pose of what glTF animations do not key."""
         full = self.full(path)
-        pose = pose if ending(path) in GLTF else None
+        pose = pose if file_ending(path) in GLTF else None
         plain = self.cached_definitions.get((full, prim, rate, False))
-        posed = pose is not None and (plain is None or _rests_apart(plain.rig, pose))
+        posed = pose is not None and (plain is None or _has_other_rest(plain.rig, pose))
         key = (full, prim, rate, posed)
         if key not in self.cached_definitions:
-            self.cached_definitions[key] = self._body(path, place, prim, rate, pose)
+            self.cached_definitions[key] = self._read_body(path, place, prim, rate, pose)
         return self.cached_definitions[key]
 
-    def _body(self, path: str, place: Span | None, prim: str, rate: float, pose: Rig | None) -> Definition | None:
-        full, kind = self.full(path), ending(path)
+    def _read_body(self, path: str, place: Span | None, prim: str, rate: float, pose: Rig | None) -> Definition | None:
+        full, kind = self.full(path), file_ending(path)
         name = posixpath.basename(full.rpartition(":")[2]).rpartition(".")[0] or "body"
         try:
             if kind in USD:
-                definition, left_out = self._usd(full, prim or "/", name, rate)
+                definition, left_out = self._read_usd(full, prim or "/", name, rate)
             else:
                 data = self.bytes_of(full, limits.BODY_BYTES)
-                definition, left_out = read_gltf(data, name, self._beside(full), rate or RATE, pose)
+                definition, left_out = read_gltf(data, name, self._sibling_reader(full), rate or RATE, pose)
         except UsdError as why:
             self.report.error(why.code, str(why), place, why.help)
             return None
         except PathRefused as why:
-            self.refused(why, place)
+            self.report_refusal(why, place)
             return None
         except BodyError as why:
             self.report.error(why.code, f"`{self.display_path(path)}` {why}", place, why.help)
@@ -141,12 +143,12 @@ class BodyFiles:
             self.report.warning("body-left-out", f"of `{self.display_path(path)}`: {sentence}", place)
         return definition
 
-    def _beside(self, full: str) -> Callable[[str, int], bytes]:
+    def _sibling_reader(self, full: str) -> Callable[[str, int], bytes]:
         """Return a reader of files that a file names relative to its own folder."""
         folder = full[: full.rfind("/") + 1] or (f"{full.partition(':')[0]}:" if _ROOTED.match(full) else "")
         return lambda path, cap: self.bytes_of(folder + path, cap)
 
-    def _usd(self, full: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
+    def _read_usd(self, full: str, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
         """Read as `read_usd`. If the user named a link, read the file that it points to."""
         from antdsl.bodies.files.usd_definition import read_usd
 
@@ -156,7 +158,7 @@ class BodyFiles:
             roots, text = Roots(target.parent, self.roots.granted), target.name
         return read_usd(roots, text, prim, name, rate)
 
-    def included(self, condensed: str, absolute: str) -> str:
+    def resolve_library(self, condensed: str, absolute: str) -> str:
         """Return the path of a shape library that is named twice. The condensed path (`$HIP/shapes.glb`, `$JOB/…`, or relative)
         is searched below the definition's folder or a granted root. The absolute path is used only if a root grants its folder.
         Raises PathRefused if neither can be used."""
@@ -166,16 +168,16 @@ class BodyFiles:
             variable, rest = match[1] or match[2], match[3]
             path = rest if variable in ("HIP", "HIPFILE") else f"{variable}:{rest}"
         try:
-            self.roots.exists(self.full(path))
+            self.roots.file_size(self.full(path))
             return path
         except PathRefused as first:
-            granted = self._granted(absolute)
+            granted = self._name_by_root(absolute)
             if granted is None:
                 raise first from None
-            self.roots.exists(granted)
+            self.roots.file_size(granted)
             return granted
 
-    def _granted(self, absolute: str) -> str | None:
+    def _name_by_root(self, absolute: str) -> str | None:
         """Return an absolute path, written with the name of the root that grants it."""
         full_path = os.path.normpath(absolute)
         for name, folder in (("", self.roots.folder), *sorted(self.roots.granted.items())):
@@ -189,7 +191,7 @@ class BodyFiles:
         return None
 
 
-def _rests_apart(one: Rig, other: Rig) -> bool:
+def _has_other_rest(one: Rig, other: Rig) -> bool:
     """Return whether any joint that two rigs share has different rest poses."""
     known = {name: number for number, name in enumerate(other.names)}
     return any((one.rest[k] != other.rest[known[name]]).any() for k, name in enumerate(one.names) if name in known)

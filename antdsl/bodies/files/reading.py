@@ -14,9 +14,9 @@ from antdsl.bodies.files.checked_values import Values
 from antdsl.bodies.files.definition_checks import check_definition
 from antdsl.bodies.files.definition_document import Parts, read_document
 from antdsl.bodies.files.json_text import Node
-from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, ending
+from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, file_ending
 from antdsl.diagnostics import Report
-from antdsl.scene.paths import Roots, Sought, note, open_again, sought
+from antdsl.scene.paths import Roots, Sought, record_request, record_sought, reopen
 from antdsl.source import Span
 
 MOST = 8  # number of cached definitions
@@ -42,9 +42,9 @@ def read_definition(
         folder = text[: max(text.rfind("/"), text.find(":")) + 1]
         files = BodyFiles(roots or Roots(Path.cwd()), report, folder)
         text = text[len(folder) :]
-    if files.closed(display_path, place):
+    if files.is_closed_format(display_path, place):
         return None, report
-    kind = ending(display_path)
+    kind = file_ending(display_path)
     name = text.rpartition(".")[0] or "body"
     if kind in GLTF or kind in USD:
         definition = files.body(text, place, prim, rate)
@@ -58,7 +58,7 @@ def read_definition(
         values.report = report
         return read_document(values, node, files, name)
 
-    parts, _ = files.part(text, "a definition", document, place)
+    parts, _ = files.read_part_file(text, "a definition", document, place)
     return (None if parts is None else check_definition(parts, report)), report
 
 
@@ -73,7 +73,7 @@ class CachedDefinition:
 _kept: OrderedDict[tuple[object, ...], CachedDefinition] = OrderedDict()
 
 
-def definition_at(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
+def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
     """Read as `read_definition`, for a path in a scene, with names in the spelling of the language. A definition that was read
     before without findings is cached."""
     key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.granted.items())))
@@ -81,13 +81,13 @@ def definition_at(text: str, roots: Roots, place: Span) -> tuple[Definition | No
     if known is not None and all(_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):
         _kept.move_to_end(key)
         for path, (root, _) in known.files.items():
-            note(path, root)
+            record_request(path, root)
         return known.definition, Report()
-    with sought() as files:
+    with record_sought() as files:
         definition, report = read_definition(text, roots, place)
     definition = None if definition is None else with_language_names(definition)
     _kept.pop(key, None)
-    stamps = _stamps(files)
+    stamps = _file_stamps(files)
     if definition is not None and not report.sorted() and all(stamp is not None for _, stamp in stamps.values()):
         _kept[key] = CachedDefinition(
             definition, {path: (root, stamp) for path, (root, stamp) in stamps.items() if stamp is not None}
@@ -97,14 +97,14 @@ def definition_at(text: str, roots: Roots, place: Span) -> tuple[Definition | No
     return definition, report
 
 
-def _stamps(files: Sought) -> dict[Path, tuple[Path | None, Stamp | None]]:
+def _file_stamps(files: Sought) -> dict[Path, tuple[Path | None, Stamp | None]]:
     return {path: (root, _stamp(path, root)) for path, root in files.items()}
 
 
 def _stamp(path: Path, root: Path | None) -> Stamp | None:
     """Return a stamp that changes when a file changes; None if there is no file."""
     try:
-        handle = open_again(path, root)
+        handle = reopen(path, root)
     except OSError:
         return None
     try:

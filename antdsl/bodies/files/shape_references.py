@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import Between, Blend, Shape
+from antdsl.bodies.agents.definition import Blend, InBetweens, Shape
 from antdsl.bodies.files.checked_values import Values
 from antdsl.bodies.files.json_text import Node
-from antdsl.bodies.files.named_files import GLTF, MESHES, USD, BodyFiles, ending
+from antdsl.bodies.files.named_files import GLTF, MESHES, USD, BodyFiles, file_ending
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import read_mesh
 from antdsl.scene.model import UNIT_MM
@@ -41,33 +41,33 @@ def read_shapes(
         entries = values.object(each, "a shape", _KNOWN)
         if entries is None:
             continue
-        new_shapes = _referred(values, each, entries, files, shapes, materials)
+        new_shapes = _read_reference(values, each, entries, files, shapes, materials)
         name = values.text(entries.get("name"), "the name of a shape")
-        factor = _factor(values, entries.get("units"), unit)
+        factor = _read_factor(values, entries.get("units"), unit)
         if name is not None and len(new_shapes) != 1:
             if new_shapes:
                 words = f"a name is given, and the file has {len(new_shapes)} shapes"
                 values.report.error("wrong-value", words, values.span(entries["name"]), f'add `"shape": "{new_shapes[0].name}"`')
             continue
         for shape in new_shapes:
-            shape = scaled(shape, factor) if factor != 1.0 else shape
+            shape = scale_shape(shape, factor) if factor != 1.0 else shape
             if "file" not in entries:
                 shapes.pop(shape.name, None)
             shape = replace(shape, name=name or shape.name)
             if "material" in entries and (material := values.text(entries["material"], "the name of a material")) is not None:
                 shape = replace(shape, materials=(material,), material=np.zeros(len(shape.faces), np.int32))
             if any(key in entries for key in _BLEND):
-                shape = _blended(values, each, entries, shape)
+                shape = _with_blend(values, each, entries, shape)
             if shape.name in shapes:
                 place = entries["name"] if "name" in entries else entries.get("file", each)
-                labelled = first.get(shape.name, values.head(node))
-                values.twice(place, f"there are two shapes `{shape.name}`", labelled)
+                labelled = first.get(shape.name, values.start_span(node))
+                values.report_repeated(place, f"there are two shapes `{shape.name}`", labelled)
                 continue
             shapes[shape.name] = shape
-            first[shape.name] = values.span(entries["name"]) if "name" in entries else values.head(each)
+            first[shape.name] = values.span(entries["name"]) if "name" in entries else values.start_span(each)
 
 
-def _referred(
+def _read_reference(
     values: Values, node: Node, entries: Mapping[str, Node], files: BodyFiles, shapes: Mapping[str, Shape],
     materials: dict[str, tuple[float, float, float]],
 ) -> list[Shape]:  # fmt: skip
@@ -75,9 +75,9 @@ def _referred(
     shape_name = values.text(entries.get("shape"), "the name of a shape in the file")
     if "file" not in entries:
         if shape_name is None:
-            values.report.error("missing-key", "a shape has no `file`", values.head(node), 'add `"file": "sword.obj"`')
+            values.report.error("missing-key", "a shape has no `file`", values.start_span(node), 'add `"file": "sword.obj"`')
         elif shape_name not in shapes:
-            values.unknown(values.span(entries["shape"]), "shape", shape_name, shapes)
+            values.report_unknown(values.span(entries["shape"]), "shape", shape_name, shapes)
         return [shapes[shape_name]] if shape_name is not None and shape_name in shapes else []
     path = values.text(entries["file"], "the path of a file")
     if path is None:
@@ -86,7 +86,7 @@ def _referred(
     if shape_name is None or not new_shapes:
         return list(new_shapes.values())
     if shape_name not in new_shapes:
-        values.unknown(values.span(entries["shape"]), f"shape in `{path[-60:]}`", shape_name, new_shapes)
+        values.report_unknown(values.span(entries["shape"]), f"shape in `{path[-60:]}`", shape_name, new_shapes)
         return []
     return [new_shapes[shape_name]]
 
@@ -102,8 +102,8 @@ def shapes_of(
     files: BodyFiles, path: str, place: Span, materials: dict[str, tuple[float, float, float]], name: str
 ) -> dict[str, Shape]:
     """Return the shapes of a file by name: all of a glTF or USD file; one called `name` of a mesh file."""
-    kind = ending(path)
-    if files.closed(path, place):
+    kind = file_ending(path)
+    if files.is_closed_format(path, place):
         return {}
     if kind in GLTF or kind in USD:
         body = files.body(path, place)
@@ -119,7 +119,7 @@ def shapes_of(
     try:
         mesh = read_mesh(files.bytes_of(files.full(path), limits.MESH_BYTES), path)
     except PathRefused as why:
-        files.refused(why, place)
+        files.report_refusal(why, place)
         return {}
     except MeshError as why:
         files.report.error("bad-mesh", f"the mesh `{path[-80:]}` {why}", place, why.help)
@@ -144,12 +144,12 @@ def read_includes(
                 values.report.error("wrong-value", words, values.span(pair), 'write `["$HIP/lib.glb", "/…/lib.glb"]`')
             continue
         condensed, absolute = str(texts[0]), str(texts[1])
-        if files.closed(condensed or absolute, values.span(pair)):
+        if files.is_closed_format(condensed or absolute, values.span(pair)):
             continue
         try:
-            path = files.included(condensed, absolute)
+            path = files.resolve_library(condensed, absolute)
         except PathRefused as why:
-            files.refused(why, values.span(pair))
+            files.report_refusal(why, values.span(pair))
             continue
         for name, shape in shapes_of(files, path, values.span(pair), materials, _stem(values, {}, path)).items():
             if name in shapes:
@@ -158,7 +158,7 @@ def read_includes(
                 shapes[name] = shape
 
 
-def _factor(values: Values, node: Node | None, unit: float) -> float:
+def _read_factor(values: Values, node: Node | None, unit: float) -> float:
     if node is None:
         return 1.0
     if not isinstance(node.value, str) or node.value not in UNIT_MM:
@@ -167,7 +167,7 @@ def _factor(values: Values, node: Node | None, unit: float) -> float:
     return UNIT_MM[node.value] / unit
 
 
-def scaled(shape: Shape, factor: float) -> Shape:
+def scale_shape(shape: Shape, factor: float) -> Shape:
     """Return a shape in other units: its points, and the joint positions at capture."""
     capture = shape.capture
     if capture is not None:
@@ -177,7 +177,7 @@ def scaled(shape: Shape, factor: float) -> Shape:
     return replace(shape, points=(shape.points * np.float32(factor)).astype(np.float32), capture=capture)
 
 
-def _blended(values: Values, node: Node, entries: Mapping[str, Node], shape: Shape) -> Shape:
+def _with_blend(values: Values, node: Node, entries: Mapping[str, Node], shape: Shape) -> Shape:
     """Return a shape with the documented blend attributes: of a base shape (names and channels), or of an input with in-between
     shapes (names and weights)."""
     if "deformDualQuaternionBlendAttrib" in entries:
@@ -188,7 +188,7 @@ def _blended(values: Values, node: Node, entries: Mapping[str, Node], shape: Sha
     names = _texts(values, entries.get("blendshape_shapenames"), "names of shapes")
     if "blendshape_shapenames" not in entries:
         words = "a blend shape does not say which shapes it blends"
-        values.report.error("missing-key", words, values.head(node), 'add `"blendshape_shapenames": ["…"]`')
+        values.report.error("missing-key", words, values.start_span(node), 'add `"blendshape_shapenames": ["…"]`')
         return shape
     if "blendshape_inbetweenweights" in entries:
         weights = values.numbers(entries["blendshape_inbetweenweights"], "weights of in-between shapes", len(names))
@@ -197,7 +197,7 @@ def _blended(values: Values, node: Node, entries: Mapping[str, Node], shape: Sha
         for number in np.flatnonzero((weights == 0) | (weights == 1)):
             words = f"the in-between shape `{names[number]}` has the weight {weights[number]:g}, at which a whole shape applies"
             values.report.error("out-of-range", words, values.span(entries["blendshape_inbetweenweights"]), "write `0.5`")
-        return replace(shape, between=Between(names, tuple(map(float, weights))))
+        return replace(shape, between=InBetweens(names, tuple(map(float, weights))))
     channels = _texts(values, entries.get("blendshape_channels"), "names of channels")
     if len(channels) != len(names):
         words = f"there are {len(names)} shapes to blend, and {len(channels)} channels"

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, BodyError, Clip, Definition, Layer, Rig
-from antdsl.bodies.agents.packed import packed
-from antdsl.bodies.agents.transforms import followed_by, one_sign, unit_quaternion
+from antdsl.bodies.agents.packed import pack_definition
+from antdsl.bodies.agents.transforms import align_signs, compose_transforms, unit_quaternion
 from antdsl.bodies.files.gltf_clips import even_times
-from antdsl.bodies.files.gltf_shapes import rigid, unused
+from antdsl.bodies.files.gltf_shapes import rigid_capture, unused_name
 from antdsl.bodies.files.usd_shapes import Skin, UsdBody, read_usd_shape
 from antdsl.reader.protocol import Refusal
-from antdsl.scene.geometry.matrices import has_inverse, inverse
-from antdsl.scene.geometry.usd.child.guard import Answer, guarded
+from antdsl.scene.geometry.matrices import has_inverse, inverses
+from antdsl.scene.geometry.usd.child.guard import Answer, with_refusals
 from antdsl.scene.geometry.usd.child.stage import OpenStage, open_stage
 from antdsl.scene.geometry.usd.errors import pxr
 
@@ -44,45 +44,45 @@ class _Skeleton:
     names: list[str]
 
 
-@guarded
+@with_refusals
 def read_body(request: Message) -> Answer:
     """Return the arrays that `packed` makes of the definition, and sentences `left_out` about the parts of the file that are not
     read."""
     said = request.document
     try:
-        definition, left_out = _definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
+        definition, left_out = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
     except BodyError as why:
         raise Refusal(why.code, str(why), why.help, "prim", "body") from why
-    return {"left_out": left_out}, packed(definition)
+    return {"left_out": left_out}, pack_definition(definition)
 
 
-def _definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
+def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
     """Return the definition at and below a prim, and sentences about what is not read. `rate`: samples per second of its
     animations, 0 for the stage's own. Raises BodyError if there is none."""
     body = UsdBody(stage)
-    bindings = list(_bindings(stage))
-    skeletons = [_skeleton(body, skeleton, query) for skeleton, query, _ in bindings]
+    bindings = list(_skeleton_bindings(stage))
+    skeletons = [_read_skeleton(body, skeleton, query) for skeleton, query, _ in bindings]
     static, deforming = [], []
     skins = {
         str(target.GetPrim().GetPath()): (number, target) for number, (*_, targets) in enumerate(bindings) for target in targets
     }
-    for mesh in stage.below(stage.prim):
+    for mesh in stage.visible_prims(stage.prim):
         if not mesh.IsA(pxr("UsdGeom").Mesh):
             continue
         path = str(mesh.GetPath())
         skin = None
         if path in skins and skins[path][1].HasJointInfluences():
             number, target = skins[path]
-            skin = _skin(skeletons[number], mesh, target)
+            skin = _read_skin(skeletons[number], mesh, target)
         shape = read_usd_shape(body, mesh, skin)
         if shape is None:
             continue
         if skin is None:
-            own = body.names[body.joint(mesh.GetName(), -1, _place(stage, mesh))]
+            own = body.names[body.add_joint(mesh.GetName(), -1, _rest_matrix(stage, mesh))]
             if shape.blend is None:
                 static.append(Binding(own, shape.name))
                 continue
-            body.shapes[shape.name] = replace(shape, capture=rigid(own, len(shape.points)))
+            body.shapes[shape.name] = replace(shape, capture=rigid_capture(own, len(shape.points)))
         deforming.append(
             Binding("", shape.name, deformer="linearskinning" if shape.blend is None else "blendshape+linearskinning")
         )
@@ -95,7 +95,7 @@ def _definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[De
     geom = pxr("UsdGeom")
     z_up = str(geom.GetStageUpAxis(stage.stage)).lower() == "z"
     front, up = ((0.0, -1.0, 0.0), (0.0, 0.0, 1.0)) if z_up else ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0))
-    clips = {clip.name: clip for clip in _clips(body, skeletons, rate)}
+    clips = {clip.name: clip for clip in _read_clips(body, skeletons, rate)}
     layers = {LAYER: layer} if body.shapes else {}
     unit = float(geom.GetStageMetersPerUnit(stage.stage)) * 1000.0
     definition = Definition(name, rig, body.shapes, layers, clips, materials=body.materials, front=front, up=up, unit=unit)
@@ -105,12 +105,12 @@ def _definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[De
 # ---- joints
 
 
-def _bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
+def _skeleton_bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
     """Yield each skeleton with its UsdSkel queries and those of the meshes that follow it, in file order."""
     skel, usd = pxr("UsdSkel"), pxr("Usd")
     cache, visited = skel.Cache(), set()
     predicate = usd.TraverseInstanceProxies()
-    for prim in stage.below(stage.prim):
+    for prim in stage.visible_prims(stage.prim):
         if prim.IsA(skel.Root):
             cache.Populate(skel.Root(prim), predicate)
             for binding in cache.ComputeSkelBindings(skel.Root(prim), predicate):
@@ -118,12 +118,12 @@ def _bindings(stage: OpenStage) -> Iterator[tuple[Any, Any, list[Any]]]:
                 if skeleton.GetPath() not in visited:
                     visited.add(skeleton.GetPath())
                     yield skeleton.GetPrim(), cache.GetSkelQuery(skeleton), list(binding.GetSkinningTargets())
-    for prim in stage.below(stage.prim):
+    for prim in stage.visible_prims(stage.prim):
         if prim.IsA(skel.Skeleton) and prim.GetPath() not in visited:
             yield prim, cache.GetSkelQuery(skel.Skeleton(prim)), []
 
 
-def _skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
+def _read_skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
     """Adds the joints of a skeleton."""
     if not query:
         raise BodyError(f"has a skeleton `{prim.GetPath()}` that does not hold together", "export it again")
@@ -134,14 +134,14 @@ def _skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
     if rest is None or len(rest) != len(paths) or len(bind) != len(paths):
         raise BodyError(f"has a skeleton `{prim.GetPath()}` without a rest pose for each joint", "export it again")
     leaves = [path.rsplit("/", 1)[-1] for path in paths]
-    top = body.joint(prim.GetName(), -1, _place(body.stage, prim))
+    top = body.add_joint(prim.GetName(), -1, _rest_matrix(body.stage, prim))
     names = []
     for number, path in enumerate(paths):
         if not -1 <= parents[number] < number:
             raise BodyError(f"has a skeleton `{prim.GetPath()}` with joints before their parents", "export it again", "bad-rig")
         name = leaves[number] if leaves.count(leaves[number]) == 1 else path
         above = top if parents[number] < 0 else top + 1 + parents[number]
-        names.append(body.names[body.joint(name, above, column_matrix(rest[number]))])
+        names.append(body.names[body.add_joint(name, above, column_matrix(rest[number]))])
     return _Skeleton(prim, query, paths, names)
 
 
@@ -150,13 +150,13 @@ def column_matrix(matrix: Any) -> Floats:
     return np.ascontiguousarray(np.array(matrix, np.float64).reshape(4, 4).T)
 
 
-def _place(stage: OpenStage, prim: Any) -> Floats:
+def _rest_matrix(stage: OpenStage, prim: Any) -> Floats:
     """The matrix of a prim in the stage, at rest."""
     cache = pxr("UsdGeom").XformCache(stage.first)
     return column_matrix(cache.GetLocalToWorldTransform(prim))
 
 
-def _skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
+def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
     """Return the joints that a mesh follows: names, and matrices from the mesh's space to that of each joint in the bind pose."""
     own = pxr("UsdSkel").BindingAPI(mesh).GetJointsAttr().Get()
     paths = [str(path) for path in own] if own is not None and len(own) else skeleton.paths
@@ -171,15 +171,15 @@ def _skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
         words = f"has a skeleton `{skeleton.prim.GetPath()}` with a bind transform that flattens"
         raise BodyError(words, "export it again")
     back = np.tile(np.eye(4), (len(bind), 1, 1))
-    back[:, :3] = [inverse(matrix[:3]) for matrix in bind]
-    bind_inverses = followed_by(back, column_matrix(target.GetGeomBindTransform()))
+    back[:, :3] = [inverses(matrix[:3]) for matrix in bind]
+    bind_inverses = compose_transforms(back, column_matrix(target.GetGeomBindTransform()))
     return Skin(tuple(skeleton.names[number[path]] for path in paths), bind_inverses, target)
 
 
 # ---- clips
 
 
-def _clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]:
+def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]:
     """The animations that skeletons are bound to, then others of the file that fit one of them."""
     skel = pxr("UsdSkel")
     clips: dict[str, Clip] = {}
@@ -187,7 +187,7 @@ def _clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]
     cache = skel.Cache()
     left = limits.CLIP_BYTES
     waiting = [(each.query.GetAnimQuery(), each) for each in skeletons]
-    for prim in body.stage.below(body.stage.stage.GetPseudoRoot()):
+    for prim in body.stage.visible_prims(body.stage.stage.GetPseudoRoot()):
         if prim.IsA(skel.Animation):
             query = cache.GetAnimQuery(skel.Animation(prim))
             paths = {str(path) for path in query.GetJointOrder()} if query else set()
@@ -201,14 +201,14 @@ def _clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[Clip]
         if not path or path in known_paths:
             continue
         known_paths.add(path)
-        clip = _clip(body, query, skeleton, unused(query.GetPrim().GetName(), clips), rate, left)
+        clip = _read_clip(body, query, skeleton, unused_name(query.GetPrim().GetName(), clips), rate, left)
         if clip is not None:
             left -= clip.translation.nbytes + clip.rotation.nbytes + clip.scale.nbytes + clip.values.nbytes
             clips[clip.name] = clip
     return list(clips.values())
 
 
-def _clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left: int) -> Clip | None:
+def _read_clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left: int) -> Clip | None:
     number = {path: count for count, path in enumerate(skeleton.paths)}
     paths = [str(path) for path in query.GetJointOrder()]
     columns = [count for count, path in enumerate(paths) if path in number]
@@ -245,6 +245,6 @@ def _clip(body: UsdBody, query: Any, skeleton: Any, name: str, rate: float, left
     if not all(np.isfinite(each).all() for each in (translation, rotation, scale, weights)):
         raise BodyError(f"has an animation `{name}` with a value that is not finite", "export it again")
     return Clip(
-        name, rate, joints, translation.astype(np.float32), one_sign(unit_quaternion(rotation)).astype(np.float32),
+        name, rate, joints, translation.astype(np.float32), align_signs(unit_quaternion(rotation)).astype(np.float32),
         scale.astype(np.float32), None, tuple(order[count] for count in shares), weights.astype(np.float32),
     )  # fmt: skip

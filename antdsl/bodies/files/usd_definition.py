@@ -5,7 +5,7 @@ from __future__ import annotations
 from fractions import Fraction
 
 from antdsl.bodies.agents.definition import BodyError, Definition
-from antdsl.bodies.agents.packed import PARTS, read_packed
+from antdsl.bodies.agents.packed import PARTS, unpack_definition
 from antdsl.reader.protocol import ProtocolError, Refusal, display_text
 from antdsl.scene.geometry.usd import UsdError, open_stage
 from antdsl.scene.paths import Roots
@@ -27,5 +27,5 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
     except Refusal as why:
         raise BodyError(str(why), why.help, why.code) from None
     except ProtocolError as why:
-        raise stage.senseless(why) from None
-    return read_packed(answer.arrays), left_out
+        raise stage.make_answer_error(why) from None
+    return unpack_definition(answer.arrays), left_out

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.definition import Between, Blend, BodyError, Capture, Channel, Shape
-from antdsl.bodies.files.gltf_shapes import captured, unused
+from antdsl.bodies.agents.definition import Blend, BodyError, Capture, Channel, InBetweens, Shape
+from antdsl.bodies.files.gltf_shapes import clean_capture, unused_name
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
 from antdsl.scene.geometry.usd.child.stage import OpenStage
 from antdsl.scene.geometry.usd.errors import pxr
@@ -44,13 +44,13 @@ class UsdBody:
     left_out: dict[str, None] = field(default_factory=dict)
     points: int = 0
 
-    def joint(self, name: str, parent: int, rest: Floats) -> int:
+    def add_joint(self, name: str, parent: int, rest: Floats) -> int:
         """Adds a joint under a name that no other has."""
         if len(self.names) >= limits.JOINTS:
             raise BodyError(f"has more than {limits.JOINTS:,} joints", code="too-large")
         if not np.isfinite(rest).all():
             raise BodyError(f"has a joint `{name}` with a transform that is not finite", "export it again")
-        self.names.append(unused(name, self.names))
+        self.names.append(unused_name(name, self.names))
         self.parents.append(parent)
         self.rest.append(rest)
         return len(self.names) - 1
@@ -59,8 +59,8 @@ class UsdBody:
 def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
     """Return the shape of a mesh prim, and add it to the library with its blend shapes; None if it has no faces."""
     mesh, time = pxr("UsdGeom").Mesh(prim), body.stage.first
-    points = _rows(mesh.GetPointsAttr().Get(time), 3)
-    _counted(body, len(points))
+    points = _as_rows(mesh.GetPointsAttr().Get(time), 3)
+    _count_points(body, len(points))
     if not np.isfinite(points).all() or (len(points) and np.abs(points).max() > 1e30):
         raise BodyError(f"has a mesh `{prim.GetPath()}` with a point that is not finite", _EXPORT)
     corners, triangles, face = _triangles(mesh, prim, time, points)
@@ -68,9 +68,9 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
         body.left_out[f"the mesh `{prim.GetPath()}` has no faces"] = None
         return None
     attributes = {"N": _normals(mesh, prim, time, points, corners), "uv": _uvs(prim, time, len(points), corners)}
-    source, triangles, point_attributes = _split(corners, triangles, attributes)
-    _counted(body, max(0, len(source) - len(points)))
-    name = unused(prim.GetName(), body.shapes)
+    source, triangles, point_attributes = _split_points(corners, triangles, attributes)
+    _count_points(body, max(0, len(source) - len(points)))
+    name = unused_name(prim.GetName(), body.shapes)
     materials, material = _materials(body, prim, face)
     normals, uvs = (
         None if point_attributes[key] is None else np.asarray(point_attributes[key], np.float32) for key in ("N", "uv")
@@ -88,13 +88,13 @@ def read_usd_shape(body: UsdBody, prim: Any, skin: Skin | None) -> Shape | None:
     return shape
 
 
-def _counted(body: UsdBody, new_points: int) -> None:
+def _count_points(body: UsdBody, new_points: int) -> None:
     body.points += new_points
     if body.points > limits.BODY_POINTS:
         raise BodyError(f"has more than {limits.BODY_POINTS:,} points, blend shapes among them", code="too-large")
 
 
-def _rows(raw_values: Any, width: int) -> Floats:
+def _as_rows(raw_values: Any, width: int) -> Floats:
     values = np.array([] if raw_values is None else raw_values, np.float64)
     if values.size % width:
         raise BodyError(f"has values that are not {width} numbers each", _EXPORT)
@@ -124,8 +124,8 @@ def _normals(mesh: Any, prim: Any, time: Any, points: Floats, corners: Integers)
     """A normal for each corner."""
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("normals")
     if primvar and primvar.HasValue():
-        return _of_corners(primvar.ComputeFlattened(time), str(primvar.GetInterpolation()), 3, len(points), corners)
-    return _of_corners(mesh.GetNormalsAttr().Get(time), str(mesh.GetNormalsInterpolation()), 3, len(points), corners)
+        return _corner_values(primvar.ComputeFlattened(time), str(primvar.GetInterpolation()), 3, len(points), corners)
+    return _corner_values(mesh.GetNormalsAttr().Get(time), str(mesh.GetNormalsInterpolation()), 3, len(points), corners)
 
 
 def _uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | None:
@@ -135,11 +135,11 @@ def _uvs(prim: Any, time: Any, points: int, corners: Integers) -> Floats | None:
     known.sort(key=lambda each: each.GetPrimvarName() != "st")
     if not known:
         return None
-    return _of_corners(known[0].ComputeFlattened(time), str(known[0].GetInterpolation()), 2, points, corners)
+    return _corner_values(known[0].ComputeFlattened(time), str(known[0].GetInterpolation()), 2, points, corners)
 
 
-def _of_corners(raw_values: Any, interpolation: str, width: int, points: int, corners: Integers) -> Floats | None:
-    values = _rows(raw_values, width)
+def _corner_values(raw_values: Any, interpolation: str, width: int, points: int, corners: Integers) -> Floats | None:
+    values = _as_rows(raw_values, width)
     if not len(values) or not np.isfinite(values).all():
         return None
     if interpolation in ("vertex", "varying") and len(values) == points:
@@ -149,7 +149,7 @@ def _of_corners(raw_values: Any, interpolation: str, width: int, points: int, co
     return None
 
 
-def _split(
+def _split_points(
     corners: Integers, triangles: Integers, attributes: dict[str, Floats | None]
 ) -> tuple[Integers, Integers, dict[str, Floats | None]]:
     """Return the file's point of each point of the shape, triangles of the shape's points, and attributes of the shape's
@@ -170,7 +170,7 @@ def _capture(body: UsdBody, prim: Any, skin: Skin, points: int, source: Integers
     weights = np.array(influences[1], np.float64).reshape(points, each)
     if not np.isfinite(weights).all():
         raise BodyError(f"has a mesh `{prim.GetPath()}` with a weight that is not finite", _EXPORT)
-    point_joints, shares, lone = captured(joints, np.maximum(weights, 0.0), len(skin.names))
+    point_joints, shares, lone = clean_capture(joints, np.maximum(weights, 0.0), len(skin.names))
     if lone:
         body.left_out[f"{lone:,} points of `{prim.GetPath()}` follow no joint, and were given to `{skin.names[0]}`"] = None
     return Capture(skin.names, point_joints[source], shares[source], skin.inverse)
@@ -191,7 +191,7 @@ def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integ
             raise BodyError(f"has a mesh `{prim.GetPath()}` that names a blend shape `{path}` which is not there", _EXPORT)
         indices = blend_shape.GetPointIndicesAttr().Get()
         rows = np.arange(len(points)) if indices is None or not len(indices) else np.array(indices, np.int64)
-        name = _moved(body, shape, unused(f"{shape.name}.{token}", body.shapes), source, points, rows,
+        name = _add_blend_target(body, shape, unused_name(f"{shape.name}.{token}", body.shapes), source, points, rows,
                       blend_shape.GetOffsetsAttr().Get(), blend_shape.GetNormalOffsetsAttr().Get())  # fmt: skip
         inner: list[tuple[float, str]] = []
         for each in blend_shape.GetInbetweens():
@@ -199,32 +199,35 @@ def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integ
             if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
                 body.left_out[f"an in-between of `{path}` has no weight, or one at which a whole shape applies"] = None
                 continue
-            own = unused(f"{name}.{each.GetAttr().GetName().rpartition(':')[2]}", body.shapes)
+            own = unused_name(f"{name}.{each.GetAttr().GetName().rpartition(':')[2]}", body.shapes)
             inner.append(
-                (float(weight), _moved(body, shape, own, source, points, rows, each.GetOffsets(), each.GetNormalOffsets()))
+                (
+                    float(weight),
+                    _add_blend_target(body, shape, own, source, points, rows, each.GetOffsets(), each.GetNormalOffsets()),
+                )
             )
         if inner:
             inner.sort()
-            between = Between(tuple(each for _, each in inner), tuple(weight for weight, _ in inner))
+            between = InBetweens(tuple(each for _, each in inner), tuple(weight for weight, _ in inner))
             body.shapes[name] = replace(body.shapes[name], between=between)
         names.append(name)
         body.channels.setdefault(token, Channel(token))
     return Blend(tuple(names), tuple(tokens), ("P", "N") if shape.normals is not None else ("P",))
 
 
-def _moved(
+def _add_blend_target(
     body: UsdBody, shape: Shape, name: str, source: Integers, points: Floats, rows: Integers, offsets: Any, turned: Any
 ) -> str:
     """Add a copy of a shape with some points moved by offsets, and return its name."""
-    _counted(body, len(source))
-    moves = _rows(offsets, 3)
+    _count_points(body, len(source))
+    moves = _as_rows(offsets, 3)
     right = len(moves) == len(rows) and (not len(rows) or (rows.min() >= 0 and rows.max() < len(points)))
     if not right or not np.isfinite(moves).all():
         raise BodyError(f"has a blend shape `{name}` with offsets that do not fit its mesh", _EXPORT)
     displacements = np.zeros_like(points)
     displacements[rows] = moves
     normals = shape.normals
-    turns = _rows(turned, 3)
+    turns = _as_rows(turned, 3)
     if normals is not None and len(turns) == len(rows) and np.isfinite(turns).all():
         of_points = np.zeros_like(points)
         of_points[rows] = turns
@@ -254,7 +257,7 @@ def _materials(body: UsdBody, prim: Any, face: Integers) -> tuple[tuple[str, ...
             names.append(name)
         return names.index(name)
 
-    mesh_material = _material(body, prim) or _display(prim)
+    mesh_material = _material(body, prim) or _display_colour(prim)
     subsets = pxr("UsdShade").MaterialBindingAPI(prim).GetMaterialBindSubsets()
     if mesh_material is None and not subsets:
         return (), None
@@ -282,7 +285,7 @@ def _material(body: UsdBody, prim: Any) -> tuple[str, tuple[float, float, float]
     return material.GetPrim().GetName(), (colour[0], colour[1], colour[2])
 
 
-def _display(prim: Any) -> tuple[str, tuple[float, float, float]] | None:
+def _display_colour(prim: Any) -> tuple[str, tuple[float, float, float]] | None:
     """A single colour that a mesh is shown in."""
     primvar = pxr("UsdGeom").Gprim(prim).GetDisplayColorPrimvar()
     value = primvar.Get() if primvar and primvar.HasValue() else None

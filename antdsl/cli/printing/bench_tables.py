@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from antdsl.bench.tables import COLUMNS, Result, between, describe_result, list_messages, phases, whole_step
+from antdsl.bench.tables import COLUMNS, Result, compare_backends, describe_result, list_messages, phases, step_rows
 from antdsl.cli.printing.messages import print_result
 
 
@@ -18,9 +18,9 @@ def show(result: Result) -> None:
     with console.capture() as printed:
         for line in (describe_result(result), *list_messages(result)):
             console.print(Text(line))
-        names, *rows = [list(row) for row in zip(COLUMNS, *whole_step(result), strict=True)]
+        names, *rows = [list(row) for row in zip(COLUMNS, *step_rows(result), strict=True)]
         console.print(_table(names, [row for row in rows if any(row[1:])]))
-        for line in between(result):
+        for line in compare_backends(result):
             console.print(Text(line))
         console.print(_table(*phases(result)))
     print_result(printed.get())

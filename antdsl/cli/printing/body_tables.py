@@ -11,7 +11,7 @@ import numpy as np
 from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape, language_names
 from antdsl.bodies.files.definition_parts import plain_metadata
 from antdsl.diagnostics import Report
-from antdsl.diagnostics.places import safe_line
+from antdsl.diagnostics.places import escape_line
 from antdsl.diagnostics.render import render, visible_diagnostics
 from antdsl.scene.model import UNIT_MM
 
@@ -26,33 +26,33 @@ def body_lines(body: Definition) -> Iterator[str]:
     yield from tree_lines(body)
     for each in body.rig.channels:
         at = f" of {each.transform}" if each.transform else ""
-        yield safe_line(f"channel      {each.name}{at}: {each.default:g} where no clip says otherwise")
+        yield escape_line(f"channel      {each.name}{at}: {each.default:g} where no clip says otherwise")
     for shape in body.shapes.values():
-        yield safe_line(f"shape        {shape.name}: {', '.join(_describe_shape(shape))}")
+        yield escape_line(f"shape        {shape.name}: {', '.join(_describe_shape(shape))}")
     for layer in body.layers.values():
-        yield safe_line(f"layer        {layer.name}: {_bound(layer)}")
+        yield escape_line(f"layer        {layer.name}: {_list_bindings(layer)}")
     for clip in body.clips.values():
-        yield safe_line(f"clip         {clip.name}: {', '.join(_played(body, clip))}")
+        yield escape_line(f"clip         {clip.name}: {', '.join(_describe_clip(body, clip))}")
     if body.idle:
-        yield safe_line(f"idle         {body.idle}")
+        yield escape_line(f"idle         {body.idle}")
     for leg in body.legs:
-        yield safe_line(f"leg          {leg.name}: {leg.upper}, {leg.lower}, {leg.foot}")
+        yield escape_line(f"leg          {leg.name}: {leg.upper}, {leg.lower}, {leg.foot}")
     for gait in body.gaits:
         phases = " ".join(f"{each:.3g}" for each in gait.phases)
         words = f"at {gait.speed:.4g} {unit}/s, stride {gait.stride:.4g} {unit}, down {gait.duty:.3g} of a cycle"
-        yield safe_line(f"gait         {gait.name}: {words}, lift {gait.lift:.4g} {unit}, phases {phases}")
+        yield escape_line(f"gait         {gait.name}: {words}, lift {gait.lift:.4g} {unit}, phases {phases}")
     for group in body.groups.values():
         members = [name if weight == 1 else f"{name} {weight:g}" for name, weight in group.members]
-        yield safe_line(f"group        {group.name}: {_shorten_list([*members, *group.channels])}")
+        yield escape_line(f"group        {group.name}: {_shorten_list([*members, *group.channels])}")
     for name, colour in body.materials.items():
-        yield safe_line(f"material     {name}: {' '.join(f'{part:.3g}' for part in colour)}")
+        yield escape_line(f"material     {name}: {' '.join(f'{part:.3g}' for part in colour)}")
     for name, (low, high) in body.variation.scales.items():
-        yield safe_line(f"varies       {name}: {low:g} to {high:g} times as large")
+        yield escape_line(f"varies       {name}: {low:g} to {high:g} times as large")
     for name, colours in body.variation.materials.items():
-        yield safe_line(f"varies       {name}: {' to '.join(' '.join(f'{part:.3g}' for part in colour) for colour in colours)}")
+        yield escape_line(f"varies       {name}: {' to '.join(' '.join(f'{part:.3g}' for part in colour) for colour in colours)}")
     yield from _language_name_lines(body)
     for key, value in plain_metadata(body.metadata).items():
-        yield safe_line(f"metadata     {key}: {_short(json.dumps(value, ensure_ascii=False))}")
+        yield escape_line(f"metadata     {key}: {_shorten_text(json.dumps(value, ensure_ascii=False))}")
 
 
 def _language_name_lines(body: Definition) -> Iterator[str]:
@@ -64,7 +64,7 @@ def _language_name_lines(body: Definition) -> Iterator[str]:
     for what, names in named:
         for name, written in language_names(names).items():
             if name != written:
-                yield safe_line(f"written      {what} {name}: {written}")
+                yield escape_line(f"written      {what} {name}: {written}")
 
 
 def tree_lines(body: Definition) -> Iterator[str]:
@@ -72,7 +72,7 @@ def tree_lines(body: Definition) -> Iterator[str]:
     depth: list[int] = []
     for name, parent in zip(body.rig.names, body.rig.parents, strict=True):
         depth.append(0 if parent < 0 else depth[parent] + 1)
-        yield safe_line(f"  {'  ' * min(depth[-1], 40)}{name}")
+        yield escape_line(f"  {'  ' * min(depth[-1], 40)}{name}")
 
 
 def unit_of(body: Definition) -> str:
@@ -98,13 +98,13 @@ def _describe_shape(shape: Shape) -> list[str]:
     return words
 
 
-def _bound(layer: Layer) -> str:
+def _list_bindings(layer: Layer) -> str:
     static = [f"{each.shape} at {each.transform}" for each in layer.static]
     deforming = [f"{each.shape} by {each.deformer}" for each in layer.deforming]
     return _shorten_list([*deforming, *static])
 
 
-def _played(body: Definition, clip: Clip) -> list[str]:
+def _describe_clip(body: Definition, clip: Clip) -> list[str]:
     words = [f"{clip.duration:.3g} s", f"{clip.rate:.4g} samples a second", f"{len(clip.joints)} joints"]
     if clip.channels:
         words.append(f"{len(clip.channels)} channels")
@@ -112,10 +112,10 @@ def _played(body: Definition, clip: Clip) -> list[str]:
     words.append(f"stride {clip.stride:.4g} {unit_of(body)}" if clip.stride else "stays in place")
     words += [] if clip.feet else ["feet free"]
     words += [f"{name} at {mark_time:.3g} s" for name, mark_time in clip.marks.items()]
-    return [*words, "does not close"] if clip.loop and not _closes(body, clip) else words
+    return [*words, "does not close"] if clip.loop and not _is_closed(body, clip) else words
 
 
-def _closes(body: Definition, clip: Clip) -> bool:
+def _is_closed(body: Definition, clip: Clip) -> bool:
     """Return whether a clip ends in its first pose, within a thousandth of the body length and of a turn. The displacement of its
     stride is subtracted."""
     ends = ((part[0], part[-1]) for part in (clip.translation, clip.rotation, clip.scale) if len(part))
@@ -131,7 +131,7 @@ def _shorten_list(words: list[str]) -> str:
     return ", ".join(words[:8]) + (f" and {len(words) - 8} more" if len(words) > 8 else "") if words else "empty"
 
 
-def _short(text: str) -> str:
+def _shorten_text(text: str) -> str:
     return text if len(text) <= 100 else text[:99] + "…"
 
 
@@ -147,12 +147,12 @@ def body_document(body: Definition | None, report: Report) -> str:
                 for name, parent in zip(body.rig.names, body.rig.parents, strict=True)
             },
             "channels": {each.name: {"default": each.default, "transform": each.transform} for each in body.rig.channels},
-            "shapes": {name: _shape(shape) for name, shape in body.shapes.items()},
-            "layers": {name: _layer(layer) for name, layer in body.layers.items()},
-            "clips": {name: _clip(clip) for name, clip in body.clips.items()},
+            "shapes": {name: _shape_document(shape) for name, shape in body.shapes.items()},
+            "layers": {name: _layer_document(layer) for name, layer in body.layers.items()},
+            "clips": {name: _clip_document(clip) for name, clip in body.clips.items()},
             "idle": body.idle,
             "legs": {leg.name: {"upper": leg.upper, "lower": leg.lower, "foot": leg.foot} for leg in body.legs},
-            "gaits": {gait.name: _gait(gait) for gait in body.gaits},
+            "gaits": {gait.name: _gait_document(gait) for gait in body.gaits},
             "groups": {
                 name: {"members": dict(group.members), "channels": list(group.channels)} for name, group in body.groups.items()
             },
@@ -166,7 +166,7 @@ def body_document(body: Definition | None, report: Report) -> str:
     return json.dumps(content, indent=2, ensure_ascii=True) + "\n"
 
 
-def _shape(shape: Shape) -> dict[str, Any]:
+def _shape_document(shape: Shape) -> dict[str, Any]:
     return {
         "points": len(shape.points),
         "triangles": len(shape.faces),
@@ -179,14 +179,14 @@ def _shape(shape: Shape) -> dict[str, Any]:
     }
 
 
-def _layer(layer: Layer) -> list[dict[str, Any]]:
+def _layer_document(layer: Layer) -> list[dict[str, Any]]:
     return [
         {"shape": each.shape, "transform": each.transform, "deformer": each.deformer, "bounds_scale": list(each.bounds_scale)}
         for each in (*layer.static, *layer.deforming)
     ]
 
 
-def _clip(clip: Clip) -> dict[str, Any]:
+def _clip_document(clip: Clip) -> dict[str, Any]:
     return {
         "seconds": clip.duration,
         "rate": clip.rate,
@@ -199,6 +199,6 @@ def _clip(clip: Clip) -> dict[str, Any]:
     }
 
 
-def _gait(gait: Gait) -> dict[str, Any]:
+def _gait_document(gait: Gait) -> dict[str, Any]:
     values = {"speed": gait.speed, "stride": gait.stride, "duty": gait.duty, "lift": gait.lift}
     return values | {"phases": list(gait.phases)}

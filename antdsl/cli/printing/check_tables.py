@@ -6,8 +6,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from antdsl.diagnostics.places import safe
-from antdsl.program.cost import Part, costs
+from antdsl.diagnostics.places import escape_text
+from antdsl.program.cost import StateCost, costs
 from antdsl.program.kinds import Kind
 from antdsl.program.model import Const, Param, Program, Species
 from antdsl.program.tables.units import measure
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 Programs = Sequence[tuple[Path, Program]]
 
 
-def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+def _align_rows(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """Yield rows as lines with aligned columns; the last column is not limited in width."""
     widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]) - 1)]
     for row in rows:
@@ -39,12 +39,12 @@ def params_table(programs: Programs) -> Iterator[str]:
         listed.update(param.span for param in new)
         if new:
             yield f"{file}:"
-            yield from _aligned([("param", "default", "unit", "range", "help"), *(_param(param) for param in new)])
+            yield from _align_rows([("param", "default", "unit", "range", "help"), *(_param_row(param) for param in new)])
     if not listed:
         yield "no program here has a param"
 
 
-def _param(param: Param) -> tuple[str, ...]:
+def _param_row(param: Param) -> tuple[str, ...]:
     """Return name, default, unit, range and help. Numbers are in the author's unit; values of other kinds are as in the
     source."""
     known = measure(param.unit) if param.unit else None
@@ -60,7 +60,7 @@ def _param(param: Param) -> tuple[str, ...]:
 
     bounded = param.low is not None or param.high is not None
     range = f"{cell(param.low)} .. {cell(param.high)}" if bounded else "any"
-    return param.name, cell(param.default), param.unit or "-", range, safe(param.help)
+    return param.name, cell(param.default), param.unit or "-", range, escape_text(param.help)
 
 
 # --- cost ------------------------------------------------------------------------------------------------------------
@@ -72,21 +72,21 @@ def cost_table(programs: Programs) -> Iterator[str]:
     for file, program in programs:
         new = [species for species in program.species.values() if species.span not in listed]
         listed.update(species.span for species in new)
-        sizes = _memory(program) if new else {}
+        sizes = _describe_memory(program) if new else {}
         for species in new:
             yield f"{file}: {species.name}{sizes.get(species.name, '')}"
-            yield from _aligned([("state", "cost", "sums", "what it asks for"), *_states(program, species)])
+            yield from _align_rows([("state", "cost", "sums", "what it asks for"), *_state_rows(program, species)])
     if not listed:
         yield "no program without errors here has a species"
 
 
-def _states(program: Program, species: Species) -> Iterator[tuple[str, ...]]:
+def _state_rows(program: Program, species: Species) -> Iterator[tuple[str, ...]]:
     for part in costs(program, species):
         words = "; ".join(_list_uses(part))
         yield part.name, f"{part.weight:,.0f}", f"{part.sums:,}", words or "-"
 
 
-def _list_uses(part: Part) -> Iterator[str]:
+def _list_uses(part: StateCost) -> Iterator[str]:
     for kind in ("senses", "fields", "draws"):
         words = [use.words for use in part.uses if use.kind == kind]
         if words:
@@ -96,17 +96,17 @@ def _list_uses(part: Part) -> Iterator[str]:
 _ROLE_WORDS = {"attribute": "attributes", "pair": "values per pair", "memory": "memory"}
 
 
-def _memory(program: Program) -> dict[str, str]:
+def _describe_memory(program: Program) -> dict[str, str]:
     """Return a few words for each species; empty if the program cannot be compiled to a plan yet."""
     from antdsl import passes, plan
-    from antdsl.plan.registers import memory
+    from antdsl.plan.registers import bytes_by_purpose
 
     lowered, report = plan.lower(program)
     if not report.ok:
         return {}
     memory_words = {}
     for name, species in passes.optimise(lowered).species.items():
-        size = memory(species)
+        size = bytes_by_purpose(species)
         role_sizes = [f"{size[role]} {words}" for role, words in _ROLE_WORDS.items() if size[role] or role != "pair"]
         of_all = sum(size[role] for role in _ROLE_WORDS)
         memory_words[name] = f", {of_all} bytes an agent ({', '.join(role_sizes)}), {size['temp']} more in a step"
@@ -131,13 +131,13 @@ def import_table(files: Sequence[Path], reports: Mapping[Path, Report], choices:
             yield f"{file}: {name}: {first}"
             yield from (f"  {line}" for line in rest)
         if not imports and not reports[file].ok:
-            yield without("import report", file, reports[file])
+            yield explain_missing_table("import report", file, reports[file])
         count += bool(imports) or not reports[file].ok
     if not count:
         yield "no scene here has a mesh"
 
 
-def without(what: str, file: Path, report: Report) -> str:
+def explain_missing_table(what: str, file: Path, report: Report) -> str:
     """Why a file has no such table."""
     errors = sum(each.severity == "error" for each in report.diagnostics)
     return f"no {what} for `{file}`: it has {errors} error{'' if errors == 1 else 's'} (above)"
@@ -148,9 +148,9 @@ def without(what: str, file: Path, report: Report) -> str:
 
 def work_table(file: Path, shot: Shot) -> Iterator[str]:
     """Yield the allocations of a scene's world and crowd: counts and bytes, estimated before anything is allocated."""
-    from antdsl.cli.memory_demand import size_text, work_of
+    from antdsl.cli.memory_demand import estimate_work, size_text
 
-    works = work_of(shot)
+    works = estimate_work(shot)
     yield f"{file}: at least {size_text(sum(work.bytes for work in works))} for the world and its crowd"
     rows = [(work.thing, f"{work.number:,} {work.parts}", size_text(work.bytes)) for work in works]
-    yield from _aligned([("thing", "work", "memory"), *rows])
+    yield from _align_rows([("thing", "work", "memory"), *rows])

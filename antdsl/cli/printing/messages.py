@@ -36,7 +36,7 @@ class Terminal(io.RawIOBase):
         if self.is_unread:
             return len(view)
         if not self.is_note:
-            self.settle()
+            self.flush_backlog()
             self._send(view)
         elif len(self.backlog) + len(view) <= _BACKLOG:
             self.backlog += view
@@ -44,7 +44,7 @@ class Terminal(io.RawIOBase):
                 self._send_backlog(_BLOCK)
         return len(view)
 
-    def settle(self) -> None:
+    def flush_backlog(self) -> None:
         """Write the backlog, waiting for the reader."""
         if self.backlog:
             self._send_backlog(len(self.backlog))
@@ -134,7 +134,7 @@ def close_streams() -> OSError | None:
         stream.flush()
         terminal = _terminal(stream)
         if terminal is not None:
-            terminal.settle()
+            terminal.flush_backlog()
     terminal = _terminal(sys.stdout)
     return None if terminal is None else terminal.loss
 
@@ -145,7 +145,7 @@ def _terminal(stream: TextIO) -> Terminal | None:
 
 
 @contextmanager
-def notes(stream: TextIO | None = None) -> Iterator[None]:
+def note_output(stream: TextIO | None = None) -> Iterator[None]:
     """Treat everything printed in this context as notes: they do not delay the work, and a lost note does not change the exit
     code. `stream`: standard output by default."""
     stream = sys.stdout if stream is None else stream
@@ -162,10 +162,10 @@ def notes(stream: TextIO | None = None) -> Iterator[None]:
         terminal.is_note = False
 
 
-def say(words: str = "", *, err: bool = False, newline: bool = True) -> None:
+def print_note(words: str = "", *, err: bool = False, newline: bool = True) -> None:
     """Print a note."""
     stream = sys.stderr if err else sys.stdout
-    with notes(stream):
+    with note_output(stream):
         stream.write(words + "\n" if newline else words)
         stream.flush()
 

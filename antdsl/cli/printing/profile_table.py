@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from antdsl.cli.printing.messages import say
+from antdsl.cli.printing.messages import print_note
 from antdsl.runtime.profiling import Profile
 
 MOST = 10  # number of reported lines
@@ -23,42 +23,42 @@ def show(profile: Profile, *, lines: bool) -> None:
     """Print a profile. `lines` is false where the backend measures phases only."""
     console = Console(highlight=False, soft_wrap=True)
     with console.capture() as capture:
-        _tell(console, profile, lines)
-    say(capture.get(), newline=False)
+        _print_tables(console, profile, lines)
+    print_note(capture.get(), newline=False)
 
 
-def _tell(console: Console, profile: Profile, lines: bool) -> None:
+def _print_tables(console: Console, profile: Profile, lines: bool) -> None:
     if not profile.frames:
         console.print("nothing to tell of: no frame was simulated after the first")
         return
     frames = "1 frame" if profile.frames == 1 else f"{profile.frames:,} frames"
     worked = sum(profile.worked.values())
-    console.print(f"{profile.total:.2f} ms a frame, {worked:.2f} ms of processors, over {frames}{_by(profile)}")
+    console.print(f"{profile.total:.2f} ms a frame, {worked:.2f} ms of processors, over {frames}{_describe_backend(profile)}")
     total = profile.total
     phases = sorted(profile.phases.items(), key=lambda each: -each[1])
-    _table(console, "phase", ((name, "", ms) for name, ms in phases), total, profile.worked)
+    _print_table(console, "phase", ((name, "", ms) for name, ms in phases), total, profile.worked)
     if not lines:
         console.print("layers and lines are measured on the backends `native` and `numpy`")
         return
     layers = sorted(profile.layers, key=lambda each: -each.ms)
-    _table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), total)
+    _print_table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), total)
     dearest = profile.lines[:MOST]
-    _table(console, "line", ((each.text, f"{_short(each.file)}:{each.line}", each.ms) for each in dearest), total)
+    _print_table(console, "line", ((each.text, f"{_short_path(each.file)}:{each.line}", each.ms) for each in dearest), total)
 
 
-def _by(profile: Profile) -> str:
+def _describe_backend(profile: Profile) -> str:
     """What ran the lines, and what is left out."""
     if len(profile.by) < 2:
         return "".join(f", by {name}" for name in profile.by)
     return f", by machine code; left out: {profile.by['NumPy']:,} by NumPy before"
 
 
-def _short(file: str) -> str:
+def _short_path(file: str) -> str:
     """Return the last two components of a file's path: a long path would leave no space for numbers."""
     return "/".join(Path(file).parts[-2:])
 
 
-def _table(
+def _print_table(
     console: Console, what: str, rows: Iterable[tuple[str, str, float]], total: float, worked: Mapping[str, float] | None = None
 ) -> None:
     """Print the rows of one kind: milliseconds, CPU milliseconds where known, and the share of the whole frame."""
@@ -77,10 +77,10 @@ def _table(
     for text, where, ms in rows:
         cells = [f"{ms:.2f}", *([f"{worked.get(text, 0.0):.2f}"] if worked is not None else [])]
         cells.append(f"{100 * ms / max(total, 1e-12):.0f}")
-        table.add_row(*map(Text, [*cells, *([_cut(where, place)] if place else []), _cut(text, max(text_width, _LEAST))]))
+        table.add_row(*map(Text, [*cells, *([_shorten(where, place)] if place else []), _shorten(text, max(text_width, _LEAST))]))
     console.print()
     console.print(table)
 
 
-def _cut(text: str, most: int) -> str:
+def _shorten(text: str, most: int) -> str:
     return text if len(text) <= most else text[: most - 1] + "…"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from antdsl.cli.printing.messages import notes, say
+from antdsl.cli.printing.messages import note_output, print_note
 from antdsl.numerics import stages
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.summary import states
@@ -17,7 +17,7 @@ _EVERY = 5.0  # seconds between plain lines
 _ENCODES = "█"
 
 
-class Watch:
+class ProgressDisplay:
     """A listener for frames, which displays nothing; displays derive from it."""
 
     def __init__(self, recording: Recording) -> None:
@@ -25,7 +25,7 @@ class Watch:
         self.began = time.perf_counter()
         self.done = 0
 
-    def preroll(self, what: str, frame: int) -> None:
+    def show_preroll(self, what: str, frame: int) -> None:
         """A frame before the first was simulated."""
 
     def frame(self) -> None:
@@ -36,34 +36,36 @@ class Watch:
         """Frames a second since the beginning."""
         return self.done / max(time.perf_counter() - self.began, 1e-6)
 
-    def words(self) -> str:
+    def state_summary(self) -> str:
         """Return the states with agents: `search 312 · carry 45`."""
         return " · ".join(f"{name.split('.', 1)[1]} {count:,}" for name, count in states(self.recording).items() if count)
 
 
-class Lines(Watch):
+class LineProgress(ProgressDisplay):
     """Plain lines of progress; always includes the first and the last frame."""
 
     def __init__(self, recording: Recording) -> None:
         super().__init__(recording)
         self.said = 0.0
 
-    def preroll(self, what: str, frame: int) -> None:
-        self._say(f"preroll {frame}")
+    def show_preroll(self, what: str, frame: int) -> None:
+        self._print_line(f"preroll {frame}")
 
     def frame(self) -> None:
         super().frame()
         last = self.recording.shot.frames.last
-        self._say(f"frame {self.recording.frame} of {last}, {self.rate():.1f} fps, {self.words()}", self.recording.frame == last)
+        self._print_line(
+            f"frame {self.recording.frame} of {last}, {self.rate():.1f} fps, {self.state_summary()}", self.recording.frame == last
+        )
 
-    def _say(self, line: str, always: bool = False) -> None:
+    def _print_line(self, line: str, always: bool = False) -> None:
         now = time.perf_counter()
         if always or now - self.said > _EVERY:
             self.said = now
-            say(line)
+            print_note(line)
 
 
-class Bar(Watch):
+class BarProgress(ProgressDisplay):
     """One line that moves."""
 
     def __init__(self, recording: Recording, bar: Any, task: Any) -> None:
@@ -71,7 +73,7 @@ class Bar(Watch):
         self.bar, self.task = bar, task
         self.drawn = 0.0
 
-    def preroll(self, what: str, frame: int) -> None:
+    def show_preroll(self, what: str, frame: int) -> None:
         self.bar.update(self.task, advance=1, words=f"preroll {frame}")
 
     def frame(self) -> None:
@@ -80,49 +82,49 @@ class Bar(Watch):
         complete = self.recording.complete
         if now - self.drawn > 0.2 or complete:
             self.drawn = now
-            self.bar.update(self.task, words=f"frame {self.recording.frame} · {self.rate():.1f} fps · {self.words()}")
+            self.bar.update(self.task, words=f"frame {self.recording.frame} · {self.rate():.1f} fps · {self.state_summary()}")
         self.bar.advance(self.task)
 
 
 @contextmanager
-def set_up(quiet: bool) -> Iterator[None]:
+def show_set_up(quiet: bool) -> Iterator[None]:
     """Show the stages of a set-up: on a temporary line on a terminal, as occasional plain lines elsewhere."""
     if quiet:
         yield
-    elif fancy():
+    elif can_draw_bar():
         from rich.progress import Progress, TextColumn
 
-        with notes(), Progress(TextColumn("set up: {task.fields[words]}"), transient=True) as bar:
+        with note_output(), Progress(TextColumn("set up: {task.fields[words]}"), transient=True) as bar:
             task = bar.add_task("", total=None, words="")
-            with stages.reported(lambda words: bar.update(task, words=words)):
+            with stages.report_to(lambda words: bar.update(task, words=words)):
                 yield
     else:
-        with stages.reported(_plain_stages()):
+        with stages.report_to(_make_stage_printer()):
             yield
 
 
-def _plain_stages() -> Callable[[str], None]:
+def _make_stage_printer() -> Callable[[str], None]:
     said = time.perf_counter()
 
     def show(words: str) -> None:
         nonlocal said
         if (now := time.perf_counter()) - said > _EVERY:
             said = now
-            say(f"set up: {words}")
+            print_note(f"set up: {words}")
 
     return show
 
 
 @contextmanager
-def progress(recording: Recording, quiet: bool) -> Iterator[Watch]:
+def show_progress(recording: Recording, quiet: bool) -> Iterator[ProgressDisplay]:
     """Yield a watcher that shows each frame in the form that suits the output stream; print the cache's location at the end."""
     frames, preroll = recording.shot.frames, recording.shot.scene.model.preroll
     if recording.resumed_from is not None and not quiet:
-        say(f"goes on after frame {recording.resumed_from}")
+        print_note(f"goes on after frame {recording.resumed_from}")
     if quiet:
-        yield Watch(recording)
+        yield ProgressDisplay(recording)
         return
-    if fancy():
+    if can_draw_bar():
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
         left = (
@@ -131,15 +133,15 @@ def progress(recording: Recording, quiet: bool) -> Iterator[Watch]:
             else frames.last - frames.first + 1 + preroll
         )
         columns = (BarColumn(24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"))
-        with notes(), Progress(*columns) as bar:
-            yield Bar(recording, bar, bar.add_task("", total=left, words=""))
+        with note_output(), Progress(*columns) as bar:
+            yield BarProgress(recording, bar, bar.add_task("", total=left, words=""))
     else:
-        yield Lines(recording)
+        yield LineProgress(recording)
     if recording.complete:
-        _tell_end(recording)
+        _report_end(recording)
 
 
-def fancy() -> bool:
+def can_draw_bar() -> bool:
     """Return whether the output stream can show a bar."""
     if not sys.stdout.isatty():
         return False
@@ -150,22 +152,26 @@ def fancy() -> bool:
     return True
 
 
-def _each(spent: Mapping[str, float], steps: int) -> str:
+def _milliseconds_text(spent: Mapping[str, float], steps: int) -> str:
     """Return milliseconds per step, the longest first; negligible ones are left out."""
     shares = sorted(((value / max(steps, 1), name) for name, value in spent.items()), reverse=True)
     return ", ".join(f"{name} {1000 * share:.1f}" for share, name in shares if share > 5e-5)
 
 
-def _tell_end(recording: Recording) -> None:
+def _report_end(recording: Recording) -> None:
     spent = {**recording.seconds, **recording.world.timings}
     set_up = spent.pop("bind", 0.0) + spent.pop("first_step", 0.0)
     spent.pop("preroll", None)
-    parts, hand_over_parts, behind = (_each(each, recording.steps) for each in (spent, recording.frame_seconds, recording.behind))
-    say(f"{len(recording.world):,} agents; set up in {set_up:.1f} s; milliseconds a frame: {parts or 'none'}")
-    say(f"of `hand_over`: {hand_over_parts or 'none'}; meanwhile, behind the simulation: {behind or 'none'}")
+    parts, hand_over_parts, behind = (
+        _milliseconds_text(each, recording.steps) for each in (spent, recording.frame_seconds, recording.behind)
+    )
+    print_note(f"{len(recording.world):,} agents; set up in {set_up:.1f} s; milliseconds a frame: {parts or 'none'}")
+    print_note(f"of `hand_over`: {hand_over_parts or 'none'}; meanwhile, behind the simulation: {behind or 'none'}")
     if recording.world.detail is not None:
         levels = recording.world.detail.summary(recording.world)["mean"]
-        say(f"level of detail, agents on the average: {', '.join(f'{name} {count:,.0f}' for name, count in levels.items())}")
+        print_note(
+            f"level of detail, agents on the average: {', '.join(f'{name} {count:,.0f}' for name, count in levels.items())}"
+        )
     if recording.world.faults.count:
-        say(f"{recording.world.faults.count} faults: agents that got a number that is none")
-    say(f"the cache is in {recording.folder}")
+        print_note(f"{recording.world.faults.count} faults: agents that got a number that is none")
+    print_note(f"the cache is in {recording.folder}")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from antdsl.cli.exits import Exit, Stop
+from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.diagnostics import Report
 
 _FILES = frozenset(("cannot-read", "cannot-write", "no-such-file", "not-a-file", "file-too-large"))
@@ -24,16 +24,16 @@ def show(report: Report, format: str = "full", *, to_stderr: bool = False) -> No
         print(text.rstrip("\n"), file=sys.stderr if to_stderr else sys.stdout)
 
 
-def demand(report: Report) -> None:
+def exit_on_errors(report: Report) -> None:
     """Print warnings and errors to standard error; exit with the code for errors if there are any."""
     show(report, to_stderr=True)
     if not report.ok:
-        raise Stop(verdict(report))
+        raise CommandError(report_exit_code(report))
 
 
-def verdict(report: Report) -> Exit:
+def report_exit_code(report: Report) -> ExitCode:
     """Return the exit code for a report: input/output for a file that cannot be read or written, findings for everything else."""
     errors = [d for d in report.diagnostics if d.severity == "error"]
     if errors and all(d.span is None and d.code in _FILES for d in errors):
-        return Exit.INPUT_OUTPUT
-    return Exit.FINDINGS if errors else Exit.FINE
+        return ExitCode.INPUT_OUTPUT
+    return ExitCode.FINDINGS if errors else ExitCode.FINE

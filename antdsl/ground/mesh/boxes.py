@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh.face_table import CORNER, EDGE1, EDGE2, WIDTH
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, fetch_ahead, inlined, scratch
 from antdsl.numerics.kernel_vectors import Vec3, Weights, at, cross, dot, minus
-from antdsl.numerics.sorting import interleaved
+from antdsl.numerics.sorting import morton_codes
 
 Floats = NDArray[np.float64]
 Index = NDArray[np.int64]
@@ -61,16 +61,16 @@ class Boxes:
     def of(vertices: Floats, faces: NDArray[np.int32], live: Index, group: NDArray[np.int32]) -> Boxes:
         """Build the tree of the `live` triangles; those of one `group` int32[m] are consecutive. Within a group they are in
         Morton order, so that neighbours share boxes (Lauterbach et al., Fast BVH Construction on GPUs, 2009, p. 376-378)."""
-        order = live[np.lexsort((_morton(vertices[faces[live]].mean(axis=1)), group[live]))]
+        order = live[np.lexsort((_morton_numbers(vertices[faces[live]].mean(axis=1)), group[live]))]
         counts = [live.size]
         while counts[-1] > 1:
             counts.append(-(-counts[-1] // WIDE))
         first = np.cumsum([0, *counts])
         boxes = Boxes(order, first, np.empty((int(first[-1]), 6)))
-        boxes.fit(vertices, faces)
+        boxes.refit(vertices, faces)
         return boxes
 
-    def fit(self, vertices: Floats, faces: NDArray[np.int32], since: int = 0) -> None:
+    def refit(self, vertices: Floats, faces: NDArray[np.int32], since: int = 0) -> None:
         """Update `bounds` after the triangles moved; those before `since` in the order have not moved."""
         a, b, c = (vertices.take(faces[self.order[since:], k], axis=0) for k in range(3))
         ends = np.concatenate([np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)], axis=1)
@@ -86,7 +86,7 @@ class Boxes:
         """Its arrays."""
         return Tree(self.order, self.first, self.bounds)
 
-    def near(self, low: Floats, high: Floats) -> tuple[Index, Index]:
+    def overlapping_pairs(self, low: Floats, high: Floats) -> tuple[Index, Index]:
         """Return pairs of a query box (3, k) and a triangle with a box that overlaps it."""
         box_numbers, node = np.arange(low.shape[1]), np.zeros(low.shape[1], np.int64)
         if not self.order.size:
@@ -105,7 +105,9 @@ class Boxes:
 
 
 @called
-def gather(pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, face_list: FaceList) -> I64:
+def gather_faces(
+    pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, face: I64, piece: I64, face_list: FaceList
+) -> I64:
     """Write the triangles with boxes that overlap a query box into `face_list`, an array and a start index. Return how many. The
     query box is that around the points `one` and `two`, `size` mm larger. Triangles are positions in the order of all triangles,
     without `face` and those of `piece`. `boxes` are the arrays of `Boxes`."""
@@ -136,7 +138,7 @@ def gather(pieces: Array1[I32], boxes: Tree, one: Vec3, two: Vec3, size: F64, fa
 
 
 @called
-def first_of(table: Array1[F64], boxes: Tree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, fine: F64) -> BoxHit:
+def first_hit(table: Array1[F64], boxes: Tree, face_list: FaceList, count: I64, origin: Vec3, step: Vec3, fine: F64) -> BoxHit:
     """Return the first triangle hit of the first `count` in `face_list` (-1 for none), the part of the way before it, and its
     weights there. The way is extended by `fine` mm. `table` is `packed`.
 
@@ -179,11 +181,11 @@ def _is_disjoint(bounds: Array2[F64], b: I64, low_x: F64, low_y: F64, low_z: F64
     return x | y | (bounds[b, 2] > high_z) | (bounds[b, 5] < low_z)
 
 
-def _morton(positions: Floats) -> NDArray[np.uint64]:
+def _morton_numbers(positions: Floats) -> NDArray[np.uint64]:
     """Return positions [n,3] numbered along a curve that preserves locality."""
     if not len(positions):
         return np.empty(0, np.uint64)
     low = positions.min(axis=0)
     size = max(float((positions.max(axis=0) - low).max()), 1e-300)
     cell = np.minimum((positions - low) / size * _FINE, _FINE - 1).astype(np.uint64)
-    return interleaved(cell)
+    return morton_codes(cell)

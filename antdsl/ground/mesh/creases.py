@@ -72,8 +72,8 @@ class Creases:
         half = inner_creases(table, corners)
         half = half[minded[half // 3]]
         one, two = (corners[half // 3, (half % 3 + k) % 3] for k in (1, 2))
-        sharp = self._marked(np.stack([one, two, two], axis=1))
-        sharp |= self._marked(corners[np.flatnonzero(table.cuts.cut & minded)])
+        sharp = self._mark_cells(np.stack([one, two, two], axis=1))
+        sharp |= self._mark_cells(corners[np.flatnonzero(table.cuts.cut & minded)])
         if len(np.unique(table.piece[live])) < 2:
             return (sharp,)
         least, most = np.full(self._shape, _NONE, np.int32), np.full(self._shape, -1, np.int32)
@@ -83,20 +83,20 @@ class Creases:
             np.maximum.at(most, at, table.piece[live[which]])
         return sharp, least, most
 
-    def _marked(self, corners: Floats) -> NDArray[np.bool_]:
+    def _mark_cells(self, corners: Floats) -> NDArray[np.bool_]:
         is_marked = np.zeros(self._shape, np.bool_)
         if len(corners):
             for cell, _ in triangle_cells((corners - self._low) / self._width, exact=False):
                 is_marked[tuple(np.clip(cell, 0, self._shape - 1).T)] = True
         return is_marked
 
-    def near(self, rows: Index, rungs: Index, rung_bits: int, place: Floats, threads: int) -> NDArray[np.bool_]:
+    def rows_near(self, rows: Index, rungs: Index, rung_bits: int, place: Floats, threads: int) -> NDArray[np.bool_]:
         """Return which rows of positions (n, 3) may have a crease, another piece or a cut nearby. Rows of rung -1 may; others are
         tested by the grid of their rung over that of a cell. `rung_bits` has a bit for each such rung. Never false where there is
         one. The result for a position and a reach does not depend on the other queries."""
         for rung in range(rung_bits.bit_length()):
             if rung_bits >> rung & 1:
-                work = partial(close, rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
+                work = partial(mark_near, rows, rungs, rung, place, self._low, self._width, self._within(self._first + rung))
                 parallel.in_parts(work, len(rows), threads, _PLACES_PER_THREAD)
         is_near: NDArray[np.bool_] = rungs == -1
         return is_near
@@ -107,11 +107,11 @@ class Creases:
             rings = int(min(np.ceil(np.ldexp(1.0, rung) / self._width) + 1, self._shape.max()))
             corners, table, minded = self._of
             inputs = (corners, table.live, table.link, table.piece, table.cuts.cut, minded, float(rings))
-            tables = stored_tables.stored("cells near creases", len(corners), inputs, partial(self._spread, rings))
+            tables = stored_tables.get_or_compute("cells near creases", len(corners), inputs, partial(self._spread_cells, rings))
             self._around[rung] = tables["near"]
         return self._around[rung]
 
-    def _spread(self, rings: int) -> stored_tables.Tables:
+    def _spread_cells(self, rings: int) -> stored_tables.Tables:
         sharp, *pieces = self._grids
         is_near: NDArray[np.bool_] = greatest_around(sharp, rings) if sharp.any() else sharp
         if pieces:
@@ -121,14 +121,16 @@ class Creases:
 
 
 def _stored_clearance(corners: Floats, table: Topology) -> Floats:
-    """As `clear_of_rises`, stored for other runs."""
+    """As `rise_clearance`, stored for other runs."""
     inputs = (corners, table.live, table.link, table.piece, table.cuts.cut)
-    tables = stored_tables.stored("clear of rises", len(corners), inputs, lambda: {"clear": clear_of_rises(corners, table)})
+    tables = stored_tables.get_or_compute(
+        "clear of rises", len(corners), inputs, lambda: {"clear": rise_clearance(corners, table)}
+    )
     clear: Floats = tables["clear"]
     return clear
 
 
-def clear_of_rises(corners: Floats, table: Topology) -> Floats:
+def rise_clearance(corners: Floats, table: Topology) -> Floats:
     """Return, for each face, float64[m], a distance (mm) within which there is no inner crease and no other piece. It is 0 for
     faces that cut their own piece, inf if the ground has none of these."""
     from scipy.spatial import cKDTree
@@ -150,13 +152,13 @@ def clear_of_rises(corners: Floats, table: Topology) -> Floats:
         distances[:] = 0.0
     elif pieces.size > 1:
         noise = _NOISE * float((corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))).max())
-        distances = np.minimum(distances, _to_other_pieces(corners, table.piece, pieces, middle, radius + noise))
+        distances = np.minimum(distances, _distance_to_pieces(corners, table.piece, pieces, middle, radius + noise))
     distances[table.cuts.cut] = 0.0
     clear: Floats = np.maximum(distances, 0.0)
     return clear
 
 
-def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats, error: Floats) -> Floats:
+def _distance_to_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats, error: Floats) -> Floats:
     """Return for each face, float64[m], a distance (mm) from its `middle`, less an `error`, to faces of other `pieces`; inf for
     faces of none.
 
@@ -170,14 +172,14 @@ def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats
         # Farther off than a tenth of the size of the others, the distance from the box around them will do.
         others = np.arange(len(own)) != k
         least, most = low[others].min(axis=0), high[others].max(axis=0)
-        away = _from_box(middle[rows].T, least, most)
+        away = _distance_from_box(middle[rows].T, least, most)
         far = away - error[rows] > _FAR * float((most - least).max())
         distances[rows[far]] = (away - error[rows])[far]
         near.append(rows[~far])
     rows = np.concatenate(near)
     at = middle[rows]
     along = np.ascontiguousarray(at.T)
-    bound = np.stack([_from_box(along, least, most) for least, most in zip(low, high, strict=True)])
+    bound = np.stack([_distance_from_box(along, least, most) for least, most in zip(low, high, strict=True)])
     bound[np.searchsorted(pieces, piece[rows]), np.arange(rows.size)] = np.inf
     begin, best = bound.argmin(axis=0), np.full(rows.size, np.inf)
     scenes = [RayScene(corners[each].reshape(-1, 3), np.arange(3 * each.size, dtype=np.int32).reshape(-1, 3)) for each in own]
@@ -189,7 +191,7 @@ def _to_other_pieces(corners: Floats, piece: Ints, pieces: Index, middle: Floats
     return distances
 
 
-def _from_box(positions: Floats, low: Floats, high: Floats) -> Floats:
+def _distance_from_box(positions: Floats, low: Floats, high: Floats) -> Floats:
     """Return the distance of positions (3, n) from a box; 0 inside."""
     x, y, z = (np.maximum(np.maximum(a - p, p - b), 0.0) for p, a, b in zip(positions, low, high, strict=True))
     away: Floats = np.sqrt(x * x + y * y + z * z)
@@ -209,7 +211,7 @@ class RiseMap:
         self._size: Floats = np.sqrt(((corners - np.roll(corners, 1, axis=1)) ** 2).sum(axis=2).max(axis=1))
         self._creases = Creases(corners, table, still)
 
-    def rising(
+    def rows_near_rises(
         self,
         mesh: Ints,
         local: Ints,
@@ -219,17 +221,17 @@ class RiseMap:
         moving: Sequence[tuple[Floats, Floats]],
         threads: int = 1,
     ) -> Index:
-        """As `MeshGround.rising`, for agents on a face of a mesh (-1: nowhere), numbered from each mesh's `first` on. `moving`
-        has the lowest and highest corner of each moving mesh."""
+        """As `MeshGround.rows_near_rises`, for agents on a face of a mesh (-1: nowhere), numbered from each mesh's `first` on.
+        `moving` has the lowest and highest corner of each moving mesh."""
         if self._least > 0 and not moving and not np.fmax.reduce(reach, initial=0.0) >= self._least:
             return np.empty(0, np.int64)  # nothing rises so near to any face
         rows, rungs = np.empty((2, len(reach)), np.int64)
         on = (mesh, local, first, self._clear, self._size, reach, *self._creases.reaches)
-        parts = parallel.in_parts(partial(candidates, *on, rows, rungs), len(reach), threads)
-        rows, rungs = parallel.joined(parts, rows, rungs)
+        parts = parallel.in_parts(partial(find_candidates, *on, rows, rungs), len(reach), threads)
+        rows, rungs = parallel.join_parts(parts, rows, rungs)
         if not len(rows):
             return rows
-        is_near = self._creases.near(rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads)
+        is_near = self._creases.rows_near(rows, rungs, reduce(or_, [each for _, _, each in parts]), place, threads)
         for low, high in moving:
             at, wide = place.take(rows, axis=0), reach[rows, None]
             is_near |= ((at >= low - wide) & (at <= high + wide)).all(axis=1)
@@ -243,7 +245,7 @@ def _rung(reach: F64, width: F64, largest: F64) -> I64:
 
 
 @kernel
-def candidates(
+def find_candidates(
     mesh: Array1[I32],
     face: Array1[I32],
     first: Array1[I64],
@@ -278,7 +280,7 @@ def candidates(
 
 
 @kernel
-def close(
+def mark_near(
     rows: Array1[I64],
     rungs: Array1[I64],
     rung: I64,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, NORMAL, RATE1, RATE2, SHEAR, WIDTH
-from antdsl.ground.mesh.surroundings import standing
+from antdsl.ground.mesh.surroundings import stance_of
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walkers import Cuts, Landing, Surface, Surroundings, Walker
 from antdsl.machine_code.kernels import BOOL, F64, I32, I64, Array1, Array2, called, inlined
-from antdsl.numerics.kernel_vectors import Vec3, Weights, at, dot, fmax, inside, minus, plus, times
+from antdsl.numerics.kernel_vectors import Vec3, Weights, at, clamp_weights, dot, fmax, minus, plus, times
 
 OFF = 16.0  # touches that feet are put off the face they left: beyond all that is taken for its border
 STEEP = 1e-6  # square of the sine of the angle of a cut, below which feet are not moved further off it
@@ -17,7 +17,7 @@ LEANING = 1e3  # way along a face for each mm up, above which it is as good as l
 
 
 @called
-def crossed(surface: Surface, around: Surroundings, cuts: Cuts, walker: Walker, length: F64) -> Landing:
+def find_crossing(surface: Surface, around: Surroundings, cuts: Cuts, walker: Walker, length: F64) -> Landing:
     """Return the first face of the same piece that cuts the current face across the path; the path continues on it. The path ends
     before the other side of an open sheet, and where there is no space.
 
@@ -26,7 +26,7 @@ def crossed(surface: Surface, around: Surroundings, cuts: Cuts, walker: Walker, 
     their side is always certain."""
     table, link, f, side = surface.table, surface.link, walker.face, walker.side
     (first, others), touch = cuts, around.lengths.touch
-    place, up, direction = standing(table, walker)
+    place, up, direction = stance_of(table, walker)
     face, best, best_distance, soonest = -1, np.inf, length, np.inf
     for k in range(first[f], first[f + 1]):
         other = others[k]
@@ -43,7 +43,7 @@ def crossed(surface: Surface, around: Surroundings, cuts: Cuts, walker: Walker, 
             continue
         crossing_distance = min(max(begins / (begins - ends if begins != ends else 1.0), 0.0), 1.0) * length
         crossing_place = plus(place, times(direction, crossing_distance))
-        if not _within(table, row, crossing_place, 4 * touch) or not _leads_through(
+        if not _is_within(table, row, crossing_place, 4 * touch) or not _leads_through(
             table, link, f, side, other, begins, crossing_place, touch
         ):
             continue
@@ -63,7 +63,7 @@ def crossed(surface: Surface, around: Surroundings, cuts: Cuts, walker: Walker, 
     off = times(steep, OFF * touch / max(dot(steep, steep), STEEP))
     pieces, side_groups = around.sides
     back = pieces[f] == pieces[face] and side_groups[1 if side < 0 else 0, f] != side_groups[1 if towards > 0 else 0, face]
-    if back or _tight(table, cuts, face, f, crossing_place, off, touch):
+    if back or _is_tight(table, cuts, face, f, crossing_place, off, touch):
         # Up to where feet keep off what they come to, or, in a corner, not at all.
         near = 0.0
         if back:
@@ -85,17 +85,17 @@ def _in_frame(table: Array1[F64], row: I64, place: Vec3) -> tuple[F64, F64]:
 def _weights(table: Array1[F64], row: I64, place: Vec3) -> Weights:
     """Return the weights of the point of a face below a nearby position, clamped to the triangle."""
     c, s = _in_frame(table, row, place)
-    return inside(c * table[row + RATE1] - s * table[row + SHEAR] + 0.0, s * table[row + RATE2] + 0.0)
+    return clamp_weights(c * table[row + RATE1] - s * table[row + SHEAR] + 0.0, s * table[row + RATE2] + 0.0)
 
 
 @inlined
 def _landing(table: Array1[F64], row: I64, place: Vec3) -> Weights:
     b1, b2 = _weights(table, row, place)
-    return inside(b1 + 0.0, b2 + 0.0)  # again: it may move them by another rounding
+    return clamp_weights(b1 + 0.0, b2 + 0.0)  # again: it may move them by another rounding
 
 
 @inlined
-def _within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
+def _is_within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
     """Return whether a position in the plane of a face is in it, or outside by at most about `touch` mm."""
     c, s = _in_frame(table, row, place)
     rate1, rate2, shear = table[row + RATE1], table[row + RATE2], table[row + SHEAR]
@@ -105,7 +105,7 @@ def _within(table: Array1[F64], row: I64, place: Vec3, touch: F64) -> BOOL:
 
 
 @inlined
-def _lowest(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
+def _lowest_corner(table: Array1[F64], face: I64, other: I64, sign: F64) -> F64:
     """Return the height of a face's lowest corner over the plane of another. The upper side of that plane is its normal times
     `sign`."""
     row, other_row = WIDTH * face, WIDTH * other
@@ -122,7 +122,7 @@ def _leads_through(
     or ends. False where the current face only touches the other one and its neighbour folds back there, into a wedge without
     space."""
     sign = -1.0 if begins < 0 else 1.0
-    if not _lowest(table, f, other, sign) >= -touch:
+    if not _lowest_corner(table, f, other, sign) >= -touch:
         return True
     b1, b2 = _weights(table, WIDTH * f, crossing_place)
     edge, least = 0, 1.0 - b1 - b2
@@ -133,11 +133,11 @@ def _leads_through(
     beyond = link[1 if side < 0 else 0, 3 * f + edge]
     if beyond == NO_LINK:
         return True
-    return _lowest(table, beyond >> 3, other, sign) < -touch
+    return _lowest_corner(table, beyond >> 3, other, sign) < -touch
 
 
 @inlined
-def _tight(table: Array1[F64], cuts: Cuts, face: I64, own: I64, place: Vec3, off: Vec3, touch: F64) -> BOOL:
+def _is_tight(table: Array1[F64], cuts: Cuts, face: I64, own: I64, place: Vec3, off: Vec3, touch: F64) -> BOOL:
     """Return whether three sheets meet. Feet placed on a face at a position, `off` from their own face, would pass or touch a
     third sheet; then they stay."""
     first, others = cuts
@@ -151,5 +151,5 @@ def _tight(table: Array1[F64], cuts: Cuts, face: I64, own: I64, place: Vec3, off
         begins = dot(normal, minus(place, at(table, row + CORNER)))
         ends = begins + dot(normal, off)
         is_touched = (begins * ends < 0 and abs(begins) > touch) or abs(ends) <= touch
-        is_tight = is_tight or (is_touched and _within(table, row, place, 2 * OFF * touch))
+        is_tight = is_tight or (is_touched and _is_within(table, row, place, 2 * OFF * touch))
     return is_tight

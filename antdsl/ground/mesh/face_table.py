@@ -19,18 +19,18 @@ EDGE_C, EDGE_S, LINK = 0, 1, 2  # from EDGES and 4 times the edge on
 OPEN = -2  # the link of a border beyond which there is nothing, see `open_borders`
 
 
-def packed(table: Topology, mesh_of: NDArray[np.int32]) -> Floats:
+def pack_table(table: Topology, mesh_of: NDArray[np.int32]) -> Floats:
     """Return the numbers of each face contiguously, float64[40 m], with the links of the normal's side and the mesh of the
     face."""
     m = table.rate1.size
     space = np.empty(WIDTH * m + 8)
     start = -space.ctypes.data % 64 // 8
     result = space[start : start + WIDTH * m]
-    pack(result, table, mesh_of, slice(0, m))
+    pack_rows(result, table, mesh_of, slice(0, m))
     return result
 
 
-def pack(into: Floats, table: Topology, mesh_of: NDArray[np.int32], rows: slice) -> None:
+def pack_rows(into: Floats, table: Topology, mesh_of: NDArray[np.int32], rows: slice) -> None:
     """Write the numbers of some faces into a packed table."""
     m = rows.stop - rows.start
     halves = slice(3 * rows.start, 3 * rows.stop)

@@ -55,7 +55,7 @@ def write_positions(
 
 
 @kernel
-def faced(
+def write_sides(
     mesh: Array1[I32], face: Array1[I32], first: Array1[I64], side: Array1[I8], sides: Array1[I8], begin: I64, end: I64
 ) -> None:
     """Write the side of the face of footings `begin` to `end` (exclusive); the faces of a mesh begin at `first`; 0 for
@@ -68,7 +68,7 @@ def faced(
 
 
 @kernel
-def farthest(displacements: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
+def find_farthest(displacements: Array2[F64], sizes: Array1[F64]) -> tuple[F64, F64]:
     """Return the greatest squared length of the finite vectors (3, n), 0 if there is none; and the greatest of sizes, NaN if all
     are NaN."""
     most, widest = 0.0, np.nan

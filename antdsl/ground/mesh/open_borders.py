@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.mesh.boxes import Boxes
-from antdsl.ground.mesh.surroundings import GAP, HIGH, LIFT, Scale
+from antdsl.ground.mesh.surroundings import GAP, HIGH, LIFT, GroundScale
 from antdsl.ground.mesh.topology import NO_LINK, Topology
 from antdsl.numerics.vectors import dot
 
@@ -18,7 +18,7 @@ _PAIRS, _AT_ONCE = 1_000_000, 50_000  # of a border and a face near it: looked a
 _LEVEL = 1e-4
 
 
-def open_borders(table: Topology, boxes: Boxes, scale: Scale, widest: float) -> Index:
+def find_open_borders(table: Topology, boxes: Boxes, scale: GroundScale, widest: float) -> Index:
     """Return half-edges without a link on either side, from which `beyond` finds no landing for bodies of up to `widest` mm. Not
     all are found on a ground that is mostly borders, or has faces much finer than the bodies: that search would take long.
 
@@ -30,21 +30,21 @@ def open_borders(table: Topology, boxes: Boxes, scale: Scale, widest: float) -> 
     batches, begin, many, left = [half[:0]], 0, 1, _PAIRS
     while begin < len(half) and left > 0:
         batch = half[begin : begin + many]
-        free, pairs = _open(table, boxes, scale, reach, batch)
+        free, pairs = _select_open(table, boxes, scale, reach, batch)
         batches.append(batch[free])
         begin, left = begin + many, left - pairs
         many = max(1, min(2 * many, _AT_ONCE * len(batch) // max(pairs, 1)))
     return np.concatenate(batches)
 
 
-def _open(table: Topology, boxes: Boxes, scale: Scale, reach: float, half: Index) -> tuple[NDArray[np.bool_], int]:
+def _select_open(table: Topology, boxes: Boxes, scale: GroundScale, reach: float, half: Index) -> tuple[NDArray[np.bool_], int]:
     """Return which of some half-edges are open borders, and how many pairs of a half-edge and a face within `reach` mm of its box
     were checked."""
     face, k = half // 3, half % 3
     one, other = _corners(table, face, (k + 1) % 3), _corners(table, face, (k + 2) % 3)
-    edge_rows, near_faces = boxes.near(np.minimum(one, other) - reach, np.maximum(one, other) + reach)
+    edge_rows, near_faces = boxes.overlapping_pairs(np.minimum(one, other) - reach, np.maximum(one, other) + reach)
     edge_rows, near_faces = (each[near_faces != face.take(edge_rows)] for each in (edge_rows, near_faces))
-    out = table.in_space(face, table.edge_s.take(half), -table.edge_c.take(half)).take(edge_rows, axis=1)
+    out = table.to_space(face, table.edge_s.take(half), -table.edge_c.take(half)).take(edge_rows, axis=1)
     normal, begin = table.normal.take(face.take(edge_rows), axis=1), one.take(edge_rows, axis=1)
     free, least = np.ones(len(half), np.bool_), _LEVEL * scale.fine
     for corner in range(3):

@@ -43,25 +43,25 @@ class Cuts:
         return which, self.other.take(np.repeat(self.first.take(face), count) + step)
 
 
-def cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
+def find_cuts(corners: Floats, weld: Ints, piece: Ints, grain: float) -> Cuts:
     """Return the cuts between faces with corners float64[m,3,3], numbered by position in `weld` (m, 3), of the pieces int32[m]
     (-1 for none). A face nearer to another than `grain` (mm) touches it, and touching counts."""
     flat = weld.ravel()
     one_place = np.zeros((int(flat.max(initial=-1)) + 1, 3))
     one_place[flat[::-1]] = corners.reshape(-1, 3)[::-1]  # corners that are nearly at one place do not cut what they belong to
-    one, two = _pairs(one_place[weld], weld, piece, grain)
+    one, two = _cutting_pairs(one_place[weld], weld, piece, grain)
     face, other = np.concatenate([one, two]), np.concatenate([two, one])
     order = np.lexsort((other, face))
     return Cuts(np.concatenate([[0], np.cumsum(np.bincount(face, minlength=len(piece)))]), other[order])
 
 
-def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
+def _cutting_pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Index, Index]:
     """Return pairs of faces of one piece, of which one has an edge that crosses, ends on or lies on the other."""
     cut_pairs = [np.empty((2, 0), np.int64)]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normal /= np.maximum(length(normal), 1e-300)[:, None]
     weld_columns = np.ascontiguousarray(weld.T)  # of corner after corner: three arrays are faster than an axis of three
-    for one, two in _near(corners, np.flatnonzero(piece >= 0)):
+    for one, two in _overlapping_pairs(corners, np.flatnonzero(piece >= 0)):
         own = np.flatnonzero(piece.take(one) == piece.take(two))
         one, two = one[own], two[own]
         same = [[own_corner.take(one) == other_corner.take(two) for other_corner in weld_columns] for own_corner in weld_columns]
@@ -90,7 +90,7 @@ def _pairs(corners: Floats, weld: Ints, piece: Ints, grain: float) -> tuple[Inde
     return pairs[0], pairs[1]
 
 
-def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
+def _overlapping_pairs(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
     """Yield pairs of `live` faces with overlapping boxes, the lower number first; a pair may occur more than once."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
@@ -100,7 +100,7 @@ def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
         width = _CELL * float(np.median(size[left]))
         fits = size[left] <= _LARGE * width
         now, left = left[fits], left[~fits]
-        for one, two in _in_cells(corners, now, smaller, width):
+        for one, two in _pairs_in_cells(corners, now, smaller, width):
             for least, most in zip(low, high, strict=True):  # of axis after axis: less is left to look at
                 beside = np.flatnonzero((least.take(one) <= most.take(two)) & (least.take(two) <= most.take(one)))
                 one, two = one[beside], two[beside]
@@ -108,7 +108,7 @@ def _near(corners: Floats, live: Index) -> Iterator[tuple[Index, Index]]:
         smaller = np.concatenate([now, smaller])
 
 
-def _in_cells(corners: Floats, now: Index, smaller: Index, width: float) -> Iterator[tuple[Index, Index]]:
+def _pairs_in_cells(corners: Floats, now: Index, smaller: Index, width: float) -> Iterator[tuple[Index, Index]]:
     """Yield pairs of faces in one cell: of the current faces `now` with each other and with `smaller` ones."""
     listed = np.concatenate([now, smaller])
     if listed.size < 2:

@@ -7,8 +7,8 @@ import numpy as np
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGES, NORMAL, RATE1, SMOOTH, WIDTH
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walkers import Clearances, Direction, Progress, Stop, Surface, Walker
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, consecutive, fetch_ahead, inlined, nearest_integer
-from antdsl.numerics.kernel_vectors import Pose, Vec3, Weights, inside, plus, times
+from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, fetch_ahead, inlined, load_consecutive, nearest_integer
+from antdsl.numerics.kernel_vectors import Pose, Vec3, Weights, clamp_weights, plus, times
 
 CROSSINGS = 400  # of edges in one step, after which an agent waits for the next
 STUCK = 24  # crossings after which a walker is moved off the corner that it may be circling
@@ -21,12 +21,12 @@ AHEAD, BORDER, HANG = 1, 2, 3  # something may be in the way, or beyond the bord
 @inlined
 def frame(table: Array1[F64], row: I64) -> tuple[Vec3, Vec3, Vec3]:
     """Both axes of a face, and its normal."""
-    ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = consecutive(table, row + AXIS1, 12)
+    ax, ay, az, bx, by, bz, nx, ny, nz, _, _, _ = load_consecutive(table, row + AXIS1, 12)
     return (ax, ay, az), (bx, by, bz), (nx, ny, nz)
 
 
 @inlined
-def laid_down(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64) -> tuple[F64, F64, F64]:
+def lay_on_face(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64) -> tuple[F64, F64, F64]:
     """Project a vector into a face: return unit (c, s) in its frame, or (c0, s0) if the projection is zero or not finite, and its
     length (mm)."""
     c = axis1[0] * x + axis1[1] * y + axis1[2] * z
@@ -39,7 +39,7 @@ def laid_down(axis1: Vec3, axis2: Vec3, x: F64, y: F64, z: F64, c0: F64, s0: F64
 
 
 @inlined
-def free(near: Clearances, f: I64, weights: Weights) -> F64:
+def free_distance(near: Clearances, f: I64, weights: Weights) -> F64:
     """Return a distance (mm) within which a position has no other piece, see `Parts`; at most `reach`."""
     n = near.counts[f]
     if n == 0:
@@ -49,7 +49,7 @@ def free(near: Clearances, f: I64, weights: Weights) -> F64:
 
 
 @inlined
-def go(
+def walk_stretches(
     surface: Surface, near: Clearances, high: F64, looked: BOOL, along_open: BOOL, walker: Walker, progress: Progress
 ) -> tuple[Walker, Progress, Stop]:
     """Walk across faces until the way is used up, or until an event. Stop at stretches that may have another piece within their
@@ -65,7 +65,7 @@ def go(
                 b1 = b1 * (1 - GRAIN) + GRAIN / 3
                 b2 = b2 * (1 - GRAIN) + GRAIN / 3
         row = WIDTH * f
-        _, along, across, shear = consecutive(table, row + RATE1 - 1, 4)
+        _, along, across, shear = load_consecutive(table, row + RATE1 - 1, 4)
         rate1 = c * along - s * shear
         rate2 = s * across
         rate0 = -(rate1 + rate2)
@@ -82,16 +82,16 @@ def go(
             if edge_distance < until:
                 until, edge = edge_distance, 2
         length = min(until, left)
-        if high > 0 and not looked and free(near, f, (b1, b2)) <= length + high:
+        if high > 0 and not looked and free_distance(near, f, (b1, b2)) <= length + high:
             event = AHEAD
             break
         looked = False
-        b1, b2 = inside(b1 + rate1 * length, b2 + rate2 * length)
+        b1, b2 = clamp_weights(b1 + rate1 * length, b2 + rate2 * length)
         distance += length
         if until >= left:
             break
         left = left - length
-        cosine, sine, linked, _ = consecutive(table, row + EDGES + 4 * edge, 4)
+        cosine, sine, linked, _ = load_consecutive(table, row + EDGES + 4 * edge, 4)
         beyond = link[1, 3 * f + edge] if forked and side < 0 else nearest_integer(linked)
         if beyond < 0:
             if beyond == NO_LINK or not along_open or high > 0:
@@ -102,7 +102,7 @@ def go(
             if hops >= HOPS:
                 left = 0.0
         else:
-            f, (b1, b2), side, (c, s), (heading_c, heading_s) = _cross(
+            f, (b1, b2), side, (c, s), (heading_c, heading_s) = _cross_edge(
                 table, beyond, edge, (cosine, sine), (b1, b2), side, (c, s), (heading_c, heading_s)
             )
             for line in (0, 24, 32):  # which `finish` reads: all others are read at once
@@ -122,7 +122,7 @@ def along_border(edge: Direction, direction: Direction, left: F64) -> tuple[Dire
 
 
 @inlined
-def _cross(
+def _cross_edge(
     table: Array1[F64],
     beyond: I64,
     edge: I64,
@@ -140,7 +140,7 @@ def _cross(
     second = b2 if edge == 0 else (b0 if edge == 1 else b1)
     if not flip:
         first, second = second, first
-    c2, s2, _, _ = consecutive(table, WIDTH * f + EDGES + 4 * k2, 4)
+    c2, s2, _, _ = load_consecutive(table, WIDTH * f + EDGES + 4 * k2, 4)
     turn = 1.0 if flip else -1.0
     ahead, out = turn * (c * c1 + s * s1), c * s1 - s * c1
     c, s = ahead * c2 - out * s2, ahead * s2 + out * c2
@@ -152,12 +152,12 @@ def _cross(
 
 
 @inlined
-def finish(table: Array1[F64], walker: Walker, over: F64) -> Pose:
+def final_pose(table: Array1[F64], walker: Walker, over: F64) -> Pose:
     """Return position, smooth normal, transported heading and direction of travel in world space."""
     f, (b1, b2), side, (c, s), (heading_c, heading_s) = walker
     row = WIDTH * f
     b0 = 1.0 - b1 - b2
-    numbers = consecutive(table, row, WIDTH)
+    numbers = load_consecutive(table, row, WIDTH)
     axis1, axis2, (nx, ny, nz) = numbers[AXIS1:AXIS2], numbers[AXIS2:NORMAL], numbers[NORMAL:RATE1]
     corner, edge1, edge2 = numbers[CORNER:EDGE1], numbers[EDGE1:EDGE2], numbers[EDGE2:SMOOTH]
     s0, s1, (s2, s3, s4, s5, s6, s7, s8) = numbers[EDGES + 7], numbers[EDGES + 11], numbers[SMOOTH:WIDTH]
@@ -168,7 +168,7 @@ def finish(table: Array1[F64], walker: Walker, over: F64) -> Pose:
     hx = axis1[0] * heading_c + axis2[0] * heading_s
     hy = axis1[1] * heading_c + axis2[1] * heading_s
     hz = axis1[2] * heading_c + axis2[2] * heading_s
-    hx, hy, hz = _turned(hx, hy, hz, nx, ny, nz, sx, sy, sz)
+    hx, hy, hz = _turn_with_normal(hx, hy, hz, nx, ny, nz, sx, sy, sz)
     off = hx * sx + hy * sy + hz * sz
     hx, hy, hz = hx - off * sx, hy - off * sy, hz - off * sz
     size = np.sqrt(hx * hx + hy * hy + hz * hz)
@@ -182,7 +182,7 @@ def finish(table: Array1[F64], walker: Walker, over: F64) -> Pose:
 
 
 @inlined
-def _turned(vx: F64, vy: F64, vz: F64, bx: F64, by: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
+def _turn_with_normal(vx: F64, vy: F64, vz: F64, bx: F64, by: F64, bz: F64, ax: F64, ay: F64, az: F64) -> Vec3:
     """Return a vector rotated as unit normal b rotates into a; a half turn goes through the vector itself."""
     cosine = bx * ax + by * ay + bz * az
     if cosine < -1 + 1e-9:

@@ -15,9 +15,9 @@ from antdsl.ground.mesh import footings
 from antdsl.ground.mesh.boxes import Boxes
 from antdsl.ground.mesh.creases import RiseMap
 from antdsl.ground.mesh.surface_clearance import Clearances
-from antdsl.ground.mesh.surroundings import LIFT, Scale
-from antdsl.ground.mesh.topology import Topology, build, facing
-from antdsl.ground.mesh.walk_events import CrowdWalk, Walk
+from antdsl.ground.mesh.surroundings import LIFT, GroundScale
+from antdsl.ground.mesh.topology import Topology, build_topology, facing_sides
+from antdsl.ground.mesh.walk_events import CrowdWalk, WalkTables
 from antdsl.ground.protocol import Floats, Footing, Index, Move
 from antdsl.ground.sticking import move_by_rays
 from antdsl.numerics import parallel
@@ -48,17 +48,17 @@ class MeshGround:
         self.low = used.min(axis=0) if used.size else np.zeros(3)
         self.high = used.max(axis=0) if used.size else np.zeros(3)
         self.extent = float((self.high - self.low).max())
-        self._table: Topology = build(self._vertices, self._faces, self._mesh, self.extent)
-        self._side = facing(self._table.normal.T)
+        self._table: Topology = build_topology(self._vertices, self._faces, self._mesh, self.extent)
+        self._side = facing_sides(self._table.normal.T)
         self._scenes: dict[tuple[int, ...], tuple[RayScene, Index]] = {}
         corners = self._vertices[self._faces]
-        self._scale = Scale.of(self.extent)
-        self._boxes = Boxes.of(self._vertices, self._faces, np.flatnonzero(self._table.live), self._together())
+        self._scale = GroundScale.of(self.extent)
+        self._boxes = Boxes.of(self._vertices, self._faces, np.flatnonzero(self._table.live), self._surface_groups())
         self._clearances = Clearances(corners, self._table.piece, self._table.cuts.cut, self.low, self._scale.noise)
-        self._fast: Walk | None = None
+        self._fast: WalkTables | None = None
         self._rises: RiseMap | None = None  # where bodies may meet walls, computed on first use
 
-    def _together(self) -> NDArray[np.int32]:
+    def _surface_groups(self) -> NDArray[np.int32]:
         """Numbers of faces: those of one move together."""
         return np.zeros(len(self._faces), np.int32)
 
@@ -75,7 +75,7 @@ class MeshGround:
         allowed surfaces, all if None; raises KeyError for an unknown name. Without any surface all footings are nowhere."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
         up = np.broadcast_to(np.asarray(up, np.float64), points.shape)
-        scene, live = self._scene(on)
+        scene, live = self._ray_scene(on)
         middle = (self.low + self.high) / 2
         height = ((middle - points) * up).sum(axis=1) + self.extent * 1.8  # more than the half diagonal above the middle
         hits = scene.cast(points + up * height[:, None], -up)
@@ -92,7 +92,7 @@ class MeshGround:
     def nearest(self, points: Floats, on: Iterable[str] | None = None) -> tuple[Footing, Floats]:
         """Footings at the nearest point of the surfaces in `on`, all when None, to points [n,3], and the distance float64[n]."""
         points = np.asarray(points, np.float64).reshape(-1, 3)
-        scene, live = self._scene(on)
+        scene, live = self._ray_scene(on)
         mesh, local, place, distance = scene.closest(points)
         face = self._face_of(mesh, local, live)
         return self._footing(face, *self._table.weights(np.maximum(face, 0), place.T)), distance
@@ -105,11 +105,11 @@ class MeshGround:
         place = origin.T + displacement.T * np.where(is_hit, part, 0.0)
         return is_hit, np.where(is_hit, part, 1.0), self._footing(face, *self._table.weights(np.maximum(face, 0), place))
 
-    def faced(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
+    def trace_normals(self, origin: Floats, displacement: Floats, threads: int = 1) -> tuple[Index, Floats, Floats]:
         """Return the numbers, ascending, of straight ways from `origin` [n,3] by `displacement` [n,3] that hit a surface. Return
         also the part of the way before it, and the face's unit normal (3, k), by its winding."""
-        scene, live = self._scene(None)
-        return scene.faced(origin, displacement, self._table.normal, live, threads)
+        scene, live = self._ray_scene(None)
+        return scene.trace_normals(origin, displacement, self._table.normal, live, threads)
 
     def position(self, footing: Footing) -> Floats:
         """Return positions in the world, float64[n,3]; zero for footings nowhere. Raises IndexError for an invalid face."""
@@ -120,7 +120,7 @@ class MeshGround:
 
     def normal(self, footing: Footing) -> Floats:
         """Return unit normals of the faces, float64[n,3], by their winding; zero for footings nowhere."""
-        face, known = self._faces_of(footing)
+        face, known = self._face_numbers(footing)
         if not self._faces.size:
             return np.zeros((len(footing), 3))
         return np.ascontiguousarray(np.where(known, self._table.normal.take(face, axis=1), 0.0).T)
@@ -129,20 +129,20 @@ class MeshGround:
         """Return the axis direction nearest to each face's normal, int8[n]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; 0 for nowhere."""
         face_sides = np.empty(len(footing), np.int8)
         on = (footing.mesh, footing.face, self._first, self._side)
-        parallel.in_parts(partial(footings.faced, *on, face_sides), len(footing), threads, parallel.LIGHT)
+        parallel.in_parts(partial(footings.write_sides, *on, face_sides), len(footing), threads, parallel.LIGHT)
         return face_sides
 
-    def upright(self, footing: Footing, up: Floats) -> Floats:
+    def upright_normals(self, footing: Footing, up: Floats) -> Floats:
         """Return smooth unit normals float64[n,3] on the side that `up` ([3] or [n,3]) points to; `up` itself for footings
         nowhere.
 
         Creases are not smoothed. Elsewhere the normal is continuous along the surface, so that bodies do not jerk."""
         up = np.array(np.broadcast_to(np.asarray(up, np.float64), (len(footing), 3)).T, order="C")
-        face, known = self._faces_of(footing)
+        face, known = self._face_numbers(footing)
         if not self._faces.size:
             return np.ascontiguousarray(up.T)
         side = np.where(dot(up, self._table.normal.take(face, axis=1)) < 0, -1.0, 1.0)
-        return np.ascontiguousarray(np.where(known, self._smooth(face, footing.b1, footing.b2) * side, up).T)
+        return np.ascontiguousarray(np.where(known, self._smooth_normals(face, footing.b1, footing.b2) * side, up).T)
 
     @property
     def triangles(self) -> tuple[Floats, NDArray[np.int32], NDArray[np.int32], Topology]:
@@ -159,22 +159,22 @@ class MeshGround:
         known = (footing.face >= 0) & (footing.mesh >= 0) & (footing.mesh < len(self.names))
         return np.where(known, self._first.take(np.where(known, footing.mesh, 0)) + footing.face, 0), known
 
-    def rising(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
+    def rows_near_rises(self, footing: Footing, place: Floats, reach: Floats, threads: int = 1) -> Index:
         """Return the rows, ascending, of agents at positions [n,3] for which a surface may rise within `reach` [n] mm, if that is
         over 0. It rises at an inner crease, another piece, or a mesh that moves. No such agent is missing, and the result for an
         agent does not depend on the others."""
         if self._rises is None:
             self._rises = RiseMap(self._vertices[self._faces], self._table, [own for own, _, _ in self.boxes()])
         moving = [(low, high) for _, low, high in self.boxes()]
-        return self._rises.rising(footing.mesh, footing.face, self._first, place, reach, moving, threads)
+        return self._rises.rows_near_rises(footing.mesh, footing.face, self._first, place, reach, moving, threads)
 
     def boxes(self) -> list[tuple[NDArray[np.bool_], Floats, Floats]]:
         """Return the moving meshes at their current position: mask of their faces, lowest and highest corner."""
         return []
 
-    def laid_out(self, face: Index, c: Floats, s: Floats) -> Floats:
+    def to_world_vectors(self, face: Index, c: Floats, s: Floats) -> Floats:
         """Return vectors (3, n) in the world, from their components along the two axes of their faces."""
-        return self._table.in_space(face, c, s)
+        return self._table.to_space(face, c, s)
 
     # ---- moving
 
@@ -200,13 +200,13 @@ class MeshGround:
         this uses the nearest surface along the path."""
         n = len(footing)
         if not self._faces.size or not n:
-            return _unmoved(footing, up, heading)
+            return _stay_in_place(footing, up, heading)
         body = np.ascontiguousarray(body, np.float64) if np.ndim(body) else np.full(n, body, np.float64)
         wish, heading_t, up_t = (np.ascontiguousarray(np.asarray(v, np.float64).T) for v in (displacement, heading, up))
         if self._by_rays:
             return move_by_rays(self, footing, wish, heading_t, up_t, body, threads)
         with np.errstate(all="ignore"):
-            parts = self._clearances.within(self._reach(wish, body))
+            parts = self._clearances.parts_within(self._search_reach(wish, body))
         moved = Footing.on_faces(np.empty(n, np.int32), np.empty(n, np.int32), *np.empty((3, n)))
         place, above, ahead, along = np.empty((4, 3, n))
         distances, blocked = np.empty(n), np.zeros(n, np.bool_)
@@ -220,38 +220,40 @@ class MeshGround:
         agents are placed by rays, or if there is nothing to walk on."""
         if self._by_rays or not self._faces.size:
             return None
-        return self._walk().of_crowd(self._clearances, self._boxes, self._scale, longest, widest)
+        return self._walk().crowd_walk_for(self._clearances, self._boxes, self._scale, longest, widest)
 
-    def _walk(self) -> Walk:
+    def _walk(self) -> WalkTables:
         if self._fast is None:
-            self._fast = Walk(self._table, self._mesh, self._first)
+            self._fast = WalkTables(self._table, self._mesh, self._first)
         return self._fast
 
-    def _reach(self, wish: Floats, body: Floats) -> float:
+    def _search_reach(self, wish: Floats, body: Floats) -> float:
         """Return how far (mm) agents at most look for other surfaces on a way."""
-        most, widest = footings.farthest(wish, body)
+        most, widest = footings.find_farthest(wish, body)
         return float(sqrt(most) + LIFT * widest + 3 * self._scale.noise)
 
     # ---- parts
 
     def _cast(self, origin: Floats, step: Floats, threads: int) -> tuple[Floats, Index]:
         """Return where rays (3, k) hit within their step, as a part of it (inf = nowhere), and the face over all meshes (-1)."""
-        scene, live = self._scene(None)
+        scene, live = self._ray_scene(None)
         which, t, mesh, local = scene.cast_within(origin.T, step.T, threads)
         part, face = np.full(origin.shape[1], np.inf), np.full(origin.shape[1], -1, np.int64)
         part[which] = t
         face[which] = self._face_of(mesh, local, live)
         return part, face
 
-    def _scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
+    def _ray_scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
         """Return rays against some surfaces, and the ground's face number of each face of that scene."""
-        chosen = tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._known(on)))
+        chosen = (
+            tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._require_names(on)))
+        )
         if chosen not in self._scenes:
             live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
             self._scenes[chosen] = (RayScene(self._vertices, self._faces[live]), live)
         return self._scenes[chosen]
 
-    def _known(self, on: Iterable[str]) -> tuple[str, ...]:
+    def _require_names(self, on: Iterable[str]) -> tuple[str, ...]:
         names = tuple(on)
         for name in names:
             if name not in self.names:
@@ -265,7 +267,7 @@ class MeshGround:
         result[hit] = live[face[hit]]
         return result
 
-    def _faces_of(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
+    def _face_numbers(self, footing: Footing) -> tuple[Index, NDArray[np.bool_]]:
         """Return the face number over all meshes, 0 where nowhere, and whether the footing is on a face."""
         known = (footing.face >= 0) & (footing.mesh >= 0)
         if known.all():
@@ -283,14 +285,14 @@ class MeshGround:
         local = np.where(known, face - self._first.take(np.maximum(mesh, 0)), -1).astype(np.int32)
         return Footing.on_faces(mesh, local, *(np.where(known, v, 0.0) for v in (b1, b2, over)))
 
-    def _smooth(self, face: Index, b1: Floats, b2: Floats) -> Floats:
+    def _smooth_normals(self, face: Index, b1: Floats, b2: Floats) -> Floats:
         """Return smooth unit normals (3, n), by the faces' winding."""
         n = self._table.smooth.take(face, axis=1)
         v = n[:3] * (1.0 - b1 - b2) + n[3:6] * b1 + n[6:] * b2
         return v / np.sqrt(np.maximum(dot(v, v), 1e-300))
 
 
-def _unmoved(footing: Footing, up: Floats, heading: Floats) -> Move:
+def _stay_in_place(footing: Footing, up: Floats, heading: Floats) -> Move:
     n = len(footing)
     same = np.array(heading, np.float64).reshape(-1, 3)
     return Move(

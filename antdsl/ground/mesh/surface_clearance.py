@@ -24,7 +24,7 @@ _MOST_PIECES = 500  # above it a face is a part, and is taken to be in touch
 
 
 @dataclass(frozen=True, slots=True)
-class Parts:
+class FaceParts:
     """Faces cut into `count[f]` by `count[f]` parts along their first and second edge, numbered from `first[f]`. `count` is 0 for
     faces that have no other piece within `reach` mm. `least` is the distance (mm) within which a part has no other piece."""
 
@@ -46,26 +46,26 @@ class Clearances:
         piece = np.where(cut, piece.max(initial=-1) + 1, piece).astype(np.int32)
         self._piece = piece
         self._corners, self._low = corners, low
-        self._parts: Parts | None = None
+        self._parts: FaceParts | None = None
         self._several = len(np.unique(piece[piece >= 0])) > 1
 
-    def within(self, reach: float) -> Parts:
+    def parts_within(self, reach: float) -> FaceParts:
         """Return clearances that distinguish distances up to `reach` mm. They are cached, and measured again when the reach has
         grown."""
         if self._parts is None or self._parts.reach < reach:
             # Wider than requested: otherwise a crowd that speeds up slowly would have it measured again and again.
-            self._parts = self._measured(1.5 * reach if self._several else np.inf)
+            self._parts = self._build_parts(1.5 * reach if self._several else np.inf)
         return self._parts
 
-    def _measured(self, reach: float) -> Parts:
+    def _build_parts(self, reach: float) -> FaceParts:
         inputs = (self._corners, self._piece, self._cut, self._low, self.noise, reach)
         size = len(self._piece) if self._several else 0
-        tables = stored_tables.stored("distances of pieces", size, inputs, partial(self._measure, reach))
-        return Parts(reach, tables["first"], tables["count"], tables["least"])
+        tables = stored_tables.get_or_compute("distances of pieces", size, inputs, partial(self._measure, reach))
+        return FaceParts(reach, tables["first"], tables["count"], tables["least"])
 
     def _measure(self, reach: float) -> stored_tables.Tables:
         m = len(self._piece)
-        near = np.flatnonzero(self._near(reach) | self._cut) if self._several else np.empty(0, np.int64)
+        near = np.flatnonzero(self._faces_near_pieces(reach) | self._cut) if self._several else np.empty(0, np.int64)
         count, first = np.zeros(m, np.int32), np.zeros(m, np.int64)
         if not near.size:
             return {"first": first, "count": count, "least": np.empty(0)}
@@ -101,17 +101,17 @@ class Clearances:
         clear: Floats = np.clip(gaps, 0.0, reach)
         return clear
 
-    def _near(self, reach: float) -> NDArray[np.bool_]:
+    def _faces_near_pieces(self, reach: float) -> NDArray[np.bool_]:
         """Return the faces that may have another piece within `reach` mm: those in a cell with two pieces nearby."""
-        grid = self._pieces
-        mixed = grid.mixed(int(min(np.ceil(reach / grid.width), grid.size.max())))
+        grid = self._piece_grid
+        mixed = grid.mixed_cells(int(min(np.ceil(reach / grid.width), grid.size.max())))
         is_near = np.zeros(len(grid.scaled), bool)
         for cell, which in triangle_cells(grid.scaled, exact=False):
             is_near[which[mixed[grid.flat(np.clip(cell, 0, grid.size - 1))]]] = True
         return is_near
 
     @cached_property
-    def _pieces(self) -> _PieceGrid:
+    def _piece_grid(self) -> _PieceGrid:
         corners, piece = self._corners, self._piece
         size = corners.max(axis=(0, 1)) - self._low
         width = triangle_width(corners, cell_width(size, _GRID_CELLS))
@@ -144,7 +144,7 @@ class _PieceGrid:
         flat: Index = (cell[..., 0] * self.size[1] + cell[..., 1]) * self.size[2] + cell[..., 2]
         return flat
 
-    def mixed(self, rings: int) -> NDArray[np.bool_]:
+    def mixed_cells(self, rings: int) -> NDArray[np.bool_]:
         """Return the cells that have two pieces within `rings` cells."""
         shape = tuple(self.size)
         least = least_around(self.least.reshape(shape), rings)

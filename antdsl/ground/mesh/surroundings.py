@@ -8,11 +8,25 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.ground.mesh.boxes import first_of, gather
+from antdsl.ground.mesh.boxes import first_hit, gather_faces
 from antdsl.ground.mesh.face_table import AXIS1, AXIS2, CORNER, EDGE1, EDGE2, EDGE_C, EDGE_S, EDGES, NORMAL, WIDTH
 from antdsl.ground.mesh.walkers import Direction, Landing, Lengths, Sides, Surroundings, Walker
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, called, inlined
-from antdsl.numerics.kernel_vectors import Vec3, Weights, at, dot, fmax, fmin, inside, level, minus, nearest, plus, times, turned
+from antdsl.numerics.kernel_vectors import (
+    Vec3,
+    Weights,
+    at,
+    clamp_weights,
+    dot,
+    fmax,
+    fmin,
+    minus,
+    nearest_weights,
+    plus,
+    times,
+    turned,
+    unit_or_first_axis,
+)
 
 LIFT = 0.02  # of a body: how far above the surface an agent looks ahead
 STEEPEST = 8.0  # times that height is the way left at least: an agent that climbs also comes up by it
@@ -26,7 +40,7 @@ TURNED = -0.17  # cosine between two normals, of about 100 degrees: below it not
 
 
 @dataclass(frozen=True, slots=True)
-class Scale:
+class GroundScale:
     """Lengths in mm that depend on the size of a ground: NOISE, LEAST, FINE and TOUCH times its extent. The last one is how far
     above the feet a surface with its back towards them still counts as below."""
 
@@ -37,8 +51,8 @@ class Scale:
     under: float
 
     @staticmethod
-    def of(extent: float) -> Scale:
-        return Scale(NOISE * extent, LEAST * extent, FINE * extent, TOUCH * extent, 10 * FINE * extent)
+    def of(extent: float) -> GroundScale:
+        return GroundScale(NOISE * extent, LEAST * extent, FINE * extent, TOUCH * extent, 10 * FINE * extent)
 
     def lengths(self) -> Lengths:
         """Those that kernels read."""
@@ -72,27 +86,29 @@ class Border(NamedTuple):
 
 
 @called
-def other_ahead(table: Array1[F64], around: Surroundings, body: F64, walker: Walker, left: F64, length: F64) -> Landing:
+def find_piece_ahead(table: Array1[F64], around: Surroundings, body: F64, walker: Walker, left: F64, length: F64) -> Landing:
     """Return another piece of surface within the path, seen from slightly above the ground. If the agent's own piece hides it, it
     is searched from a minimal height, because feet would pass under the own piece."""
     pieces, boxes, face_list, f = around.sides.piece, around.boxes, around.face_list, walker.face
     least, fine = around.lengths.least, around.lengths.fine
-    ground = standing(table, walker)
+    ground = stance_of(table, walker)
     place, _, direction = ground
     high = fmax(fmin(LIFT * body, left / STEEPEST), least)
-    n = gather(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
+    n = gather_faces(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
     if n == 0:
         return Landing(-1, (0.0, 0.0), 1.0, length, 0.0, False)
     face, weights, distance, towards, eye = _look_ahead(table, around, n, ground, length, high)
     if face < 0:
         return Landing(face, (0.0, 0.0), 1.0, length, 0.0, False)
-    if _hidden(table, around, f, ground, length, eye, towards):
-        n = gather(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
+    if _is_hidden(table, around, f, ground, length, eye, towards):
+        n = gather_faces(pieces, boxes, place, plus(place, times(direction, length)), high + 2 * fine, -1, pieces[f], face_list)
         face, weights, distance, towards, eye = _look_ahead(table, around, n, ground, length, least)
         if face < 0:
             return Landing(face, (0.0, 0.0), 1.0, length, 0.0, False)
-    weights = inside(weights[0] + 0.0, weights[1] + 0.0)
-    return Landing(face, weights, _side(table, face, towards), min(np.sqrt(distance * distance + eye * eye), left), 0.0, False)
+    weights = clamp_weights(weights[0] + 0.0, weights[1] + 0.0)
+    return Landing(
+        face, weights, _approached_side(table, face, towards), min(np.sqrt(distance * distance + eye * eye), left), 0.0, False
+    )
 
 
 @called
@@ -101,42 +117,42 @@ def _look_ahead(table: Array1[F64], around: Surroundings, n: I64, ground: Stance
     search at the path's end between that eye and the ground."""
     boxes, face_list, fine, under = around.boxes, around.face_list, around.lengths.fine, around.lengths.under
     place, up, direction = ground
-    roof, part, _ = first_of(table, boxes, face_list, n, place, times(up, high), fine)
+    roof, part, _ = first_hit(table, boxes, face_list, n, place, times(up, high), fine)
     # What shows its back a grain above the agent is below it: feet may be that far in the ground that they climb.
     if roof >= 0 and (dot(at(table, WIDTH * roof + NORMAL), up) < 0 or high * part > under):
         high = high * part / 2
     eye, step = plus(place, times(up, high)), times(direction, length)
-    face, part, weights = first_of(table, boxes, face_list, n, eye, step, fine)
+    face, part, weights = first_hit(table, boxes, face_list, n, eye, step, fine)
     if face >= 0:
         return Sight(face, weights, min(part, 1.0) * length, direction, high)
     # What has come between the eye and the ground is below the next eye, that of the face round the edge or of the next step.
     down = times(up, -high)
-    face, _, weights = first_of(table, boxes, face_list, n, plus(eye, step), down, 0.0)
+    face, _, weights = first_hit(table, boxes, face_list, n, plus(eye, step), down, 0.0)
     return Sight(face, weights, length, down, high)
 
 
 @called
-def _hidden(table: Array1[F64], around: Surroundings, f: I64, ground: Stance, length: F64, high: F64, towards: Vec3) -> BOOL:
+def _is_hidden(table: Array1[F64], around: Surroundings, f: I64, ground: Stance, length: F64, high: F64, towards: Vec3) -> BOOL:
     """Return whether the agent's own piece hides what is seen from eye height `high`."""
     pieces, boxes, face_list, fine = around.sides.piece, around.boxes, around.face_list, around.lengths.fine
     place, up, direction = ground
     step, piece = times(direction, length), pieces[f]
     eye = plus(place, times(up, high))
-    n = gather(pieces, boxes, place, plus(place, step), high + 2 * fine, f, -1, face_list)
-    first = first_of(table, boxes, face_list, n, plus(place, times(up, fine)), times(up, high - fine), 0.0).face
+    n = gather_faces(pieces, boxes, place, plus(place, step), high + 2 * fine, f, -1, face_list)
+    first = first_hit(table, boxes, face_list, n, plus(place, times(up, fine)), times(up, high - fine), 0.0).face
     if first >= 0 and pieces[first] == piece:
         return True
-    first = first_of(table, boxes, face_list, n, eye, step, fine).face
+    first = first_hit(table, boxes, face_list, n, eye, step, fine).face
     if first >= 0 and pieces[first] == piece:
         return True
     if towards[0] == direction[0] and towards[1] == direction[1] and towards[2] == direction[2]:
         return False
-    first = first_of(table, boxes, face_list, n, plus(eye, step), towards, 0.0).face
+    first = first_hit(table, boxes, face_list, n, plus(eye, step), towards, 0.0).face
     return first >= 0 and pieces[first] == piece
 
 
 @called
-def beyond(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walker: Walker) -> Landing:
+def look_beyond_border(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walker: Walker) -> Landing:
     """Find the landing beyond an open border where an agent stands: the first hit of a search path. The path goes up from the
     face, out over the border and down beyond it. It then returns from below, first at a small and then at a larger depth. Returns
     the face to step onto, the distance at its level, and the height of that level.
@@ -146,7 +162,7 @@ def beyond(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walke
     sides, boxes, face_list, f = around.sides, around.boxes, around.face_list, walker.face
     pieces, least, fine = sides.piece, around.lengths.least, around.lengths.fine
     row = WIDTH * f
-    place, up = stand(table, row, walker.weights, walker.side), times(at(table, row + NORMAL), walker.side)
+    place, up = position_on_face(table, row, walker.weights, walker.side), times(at(table, row + NORMAL), walker.side)
     border = Border(f, walker.side, up)
     along = row + EDGES + 4 * edge
     out = _in_space(table, row, (table[along + EDGE_S], -table[along + EDGE_C]))
@@ -154,27 +170,27 @@ def beyond(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walke
     gap, high = GAP * body, HIGH * body
     most, across = high, times(out, gap)
     lift = times(up, high)
-    n = gather(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, face_list)
+    n = gather_faces(pieces, boxes, plus(place, lift), minus(place, lift), gap + 4 * fine, f, -1, face_list)
     if n == 0:
         return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     hair = times(out, 2 * fine)  # an offset, beside a border that ends or begins exactly above or below this one
-    roof, part, _ = first_of(table, boxes, face_list, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
+    roof, part, _ = first_hit(table, boxes, face_list, n, plus(minus(place, hair), times(up, fine)), times(up, high - fine), 0.0)
     if roof >= 0:
         high = (fine + part * (high - fine)) / 2
-    if first_of(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0).face >= 0:
+    if first_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0).face >= 0:
         high = min(high, LIFT * body)
-        face, part, weights = first_of(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0)
+        face, part, weights = first_hit(table, boxes, face_list, n, plus(place, times(up, high)), across, 0.0)
         if face >= 0:
             distance = gap * min(part, 1.0)
             if abs(high) <= gap:
-                return _leading(table, sides, border, face, weights, out, np.sqrt(distance * distance + high * high), 0.0)
-            return _leading(table, sides, border, face, weights, out, distance, high)
+                return _step_landing(table, sides, border, face, weights, out, np.sqrt(distance * distance + high * high), 0.0)
+            return _step_landing(table, sides, border, face, weights, out, distance, high)
     over, towards = plus(place, across), times(up, -(high + most))
-    face, part, weights = first_of(table, boxes, face_list, n, plus(over, times(up, high)), towards, 0.0)
+    face, part, weights = first_hit(table, boxes, face_list, n, plus(over, times(up, high)), towards, 0.0)
     rise, distance = -most, gap
     if face >= 0:
         rise = high - part * (high + most)
-        if _leads(table, sides, border, face, towards):
+        if _may_step(table, sides, border, face, towards):
             # Onto the point of the face that is nearest to a place over the border no lower than its plane there.
             face_row = WIDTH * face
             normal, corner = at(table, face_row + NORMAL), at(table, face_row + CORNER)
@@ -183,10 +199,10 @@ def beyond(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walke
             if abs(height) <= gap:
                 height = 0.0
             above, edge1, edge2 = plus(place, times(up, height)), at(table, face_row + EDGE1), at(table, face_row + EDGE2)
-            b1, b2, away = nearest(edge1, edge2, minus(above, corner))
+            b1, b2, away = nearest_weights(edge1, edge2, minus(above, corner))
             onto = minus(plus(plus(corner, times(edge1, b1)), times(edge2, b2)), above)
             rise, distance, weights = height, away, (b1, b2)
-            first, part, nearer = first_of(table, boxes, face_list, n, above, onto, 0.0)
+            first, part, nearer = first_hit(table, boxes, face_list, n, above, onto, 0.0)
             if part * away < away - fine:
                 face, weights, distance, towards = first, nearer, part * away, onto
         else:
@@ -195,26 +211,26 @@ def beyond(table: Array1[F64], around: Surroundings, body: F64, edge: I64, walke
         lowest, towards = rise, times(out, -2 * gap)
         for depth in (GAP * body, DEPTH * body):
             if lowest < -depth:
-                face, part, weights = first_of(table, boxes, face_list, n, minus(over, times(up, depth)), towards, 0.0)
+                face, part, weights = first_hit(table, boxes, face_list, n, minus(over, times(up, depth)), towards, 0.0)
                 if face >= 0:
                     rise, distance = -depth, abs(gap - part * (2 * gap))
                     break
-    if face < 0 or not _leads(table, sides, border, face, towards):
+    if face < 0 or not _may_step(table, sides, border, face, towards):
         return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
     # Down at the border itself, where what was met may be met sooner; straight across to what is near.
     if rise < -gap:
         fall = times(up, rise + fine)
-        sooner, part, nearer = first_of(table, boxes, face_list, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
+        sooner, part, nearer = first_hit(table, boxes, face_list, n, minus(plus(place, hair), times(up, fine)), fall, 0.0)
         if sooner >= 0:
             face, weights, towards = sooner, nearer, fall
             rise, distance = part * (rise + fine) - fine, 0.0
     if abs(rise) <= gap:
-        return _leading(table, sides, border, face, weights, towards, np.sqrt(distance * distance + rise * rise), 0.0)
-    return _leading(table, sides, border, face, weights, towards, distance, rise)
+        return _step_landing(table, sides, border, face, weights, towards, np.sqrt(distance * distance + rise * rise), 0.0)
+    return _step_landing(table, sides, border, face, weights, towards, distance, rise)
 
 
 @inlined
-def landed(table: Array1[F64], walker: Walker, to: I64, to_side: F64) -> tuple[Direction, Direction]:
+def turn_to_face(table: Array1[F64], walker: Walker, to: I64, to_side: F64) -> tuple[Direction, Direction]:
     """Return direction and heading in the frame of the face `to`, rotated with the normal."""
     row, other_row = WIDTH * walker.face, WIDTH * to
     old_normal, new_normal = times(at(table, row + NORMAL), walker.side), times(at(table, other_row + NORMAL), to_side)
@@ -222,19 +238,21 @@ def landed(table: Array1[F64], walker: Walker, to: I64, to_side: F64) -> tuple[D
     new_direction = turned(direction, old_normal, new_normal, direction)
     heading = turned(_in_space(table, row, walker.heading), old_normal, new_normal, direction)
     axis1, axis2 = at(table, other_row + AXIS1), at(table, other_row + AXIS2)
-    return level(dot(axis1, new_direction), dot(axis2, new_direction)), level(dot(axis1, heading), dot(axis2, heading))
+    return unit_or_first_axis(dot(axis1, new_direction), dot(axis2, new_direction)), unit_or_first_axis(
+        dot(axis1, heading), dot(axis2, heading)
+    )
 
 
 @inlined
-def standing(table: Array1[F64], walker: Walker) -> Stance:
+def stance_of(table: Array1[F64], walker: Walker) -> Stance:
     """Where a walker is."""
     row, side = WIDTH * walker.face, walker.side
-    place = stand(table, row, walker.weights, side)
+    place = position_on_face(table, row, walker.weights, side)
     return Stance(place, times(at(table, row + NORMAL), side), _in_space(table, row, walker.direction))
 
 
 @inlined
-def stand(table: Array1[F64], row: I64, weights: Weights, side: F64) -> Vec3:
+def position_on_face(table: Array1[F64], row: I64, weights: Weights, side: F64) -> Vec3:
     """Place on a face."""
     return plus(
         plus(at(table, row + CORNER), times(at(table, row + EDGE1), weights[0])), times(at(table, row + EDGE2), weights[1])
@@ -247,27 +265,29 @@ def _in_space(table: Array1[F64], row: I64, direction: Direction) -> Vec3:
 
 
 @inlined
-def _side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
+def _approached_side(table: Array1[F64], face: I64, towards: Vec3) -> F64:
     """Return the side of a face to walk on: the side that a path came from."""
     return -1.0 if dot(at(table, WIDTH * face + NORMAL), towards) > 0 else 1.0
 
 
 @called
-def _leads(table: Array1[F64], sides: Sides, border: Border, face: I64, towards: Vec3) -> BOOL:
+def _may_step(table: Array1[F64], sides: Sides, border: Border, face: I64, towards: Vec3) -> BOOL:
     """Return whether an agent may step over a border to a face. It may not step to the other side of the surface it walks on, nor
     to a face that turns back below it."""
     pieces, side_groups = sides
-    to_side = _side(table, face, towards)
+    to_side = _approached_side(table, face, towards)
     own_side, other = 1 if border.side < 0 else 0, 1 if to_side < 0 else 0
     alike = pieces[border.face] != pieces[face] or side_groups[own_side, border.face] == side_groups[other, face]
     return alike and dot(times(at(table, WIDTH * face + NORMAL), to_side), border.up) > TURNED
 
 
 @called
-def _leading(
+def _step_landing(
     table: Array1[F64], sides: Sides, border: Border, face: I64, weights: Weights, towards: Vec3, distance: F64, rise: F64
 ) -> Landing:
     """What `beyond` gives, if one may step there."""
-    if not _leads(table, sides, border, face, towards):
+    if not _may_step(table, sides, border, face, towards):
         return Landing(-1, (0.0, 0.0), 1.0, 0.0, 0.0, False)
-    return Landing(face, inside(weights[0] + 0.0, weights[1] + 0.0), _side(table, face, towards), distance, rise, False)
+    return Landing(
+        face, clamp_weights(weights[0] + 0.0, weights[1] + 0.0), _approached_side(table, face, towards), distance, rise, False
+    )

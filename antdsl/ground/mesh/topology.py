@@ -9,10 +9,10 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.ground.mesh.self_cuts import Cuts, cuts
+from antdsl.ground.mesh.self_cuts import Cuts, find_cuts
 from antdsl.numerics import elementary, stored_tables
 from antdsl.numerics.vectors import dot
-from antdsl.scene.geometry.live_faces import components, corner_numbers, live_faces
+from antdsl.scene.geometry.live_faces import component_numbers, corner_numbers, live_faces
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
@@ -57,7 +57,7 @@ class Topology:
     smooth: Floats  # (9, m): unit normal at corner 0, 1, 2
     weld: Ints  # (m, 3): numbers of corners, those of one place being one
 
-    def in_space(self, face: Index, c: Floats, s: Floats) -> Floats:
+    def to_space(self, face: Index, c: Floats, s: Floats) -> Floats:
         """Vectors of the frames of faces as (3, k)."""
         return self.axis1.take(face, axis=1) * c + self.axis2.take(face, axis=1) * s
 
@@ -77,25 +77,25 @@ class Topology:
         return replace(self, **{name: getattr(self, name).copy() for name in _FLOATS})
 
 
-def build(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
+def build_topology(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> Topology:
     """Return tables for faces; `mesh` int32[m] is the mesh of each. Corners are joined within a mesh only. The tables are stored
     for other runs."""
     inputs = (vertices, faces, mesh, extent)
-    tables = stored_tables.stored("topology", len(faces), inputs, partial(_tables, *inputs))
+    tables = stored_tables.get_or_compute("topology", len(faces), inputs, partial(_build_tables, *inputs))
     cut = Cuts(tables.pop("first_cut"), tables.pop("cut_by"))
     link, piece = tables["link"], tables["piece"]
     return Topology(**tables, pieces=int(piece.max(initial=-1)) + 1, forked=bool((link[0] != link[1]).any()), cuts=cut)
 
 
-def _tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
+def _build_tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_tables.Tables:
     """Return the arrays of `build`, by the field names of `Topology`; of its cuts `first_cut` and `cut_by`."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     weld = corner_numbers(vertices, faces, mesh, extent)
     live = live_faces(weld, a, b, c)
-    link = _links(vertices, faces, weld, live)
-    piece = _pieces(link, live)
-    cut = cuts(vertices[faces], weld, piece, extent * _THROUGH)
-    side_groups, shape = _side_groups(link, live, piece), _shape(vertices, faces, weld, live)
+    link = _link_edges(vertices, faces, weld, live)
+    piece = _number_pieces(link, live)
+    cut = find_cuts(vertices[faces], weld, piece, extent * _THROUGH)
+    side_groups, shape = _side_groups(link, live, piece), _shape_arrays(vertices, faces, weld, live)
     return {
         "live": live,
         "link": link,
@@ -108,13 +108,13 @@ def _tables(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> stored_
     }
 
 
-def repose(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
+def update_shape(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
     """Update the shape of the faces in `rows`, all those of one mesh, for moved vertices; changes the table's arrays.
     Connectivity stays. A face that lost its area keeps its normal and has zero width."""
     live, weld = table.live[rows], table.weld[rows]
     old_frames = {name: getattr(table, name)[:, rows].copy() for name in ("normal", "axis1", "axis2")}
     edges = {name: getattr(table, name).reshape(-1, 3)[rows].copy() for name in ("edge_c", "edge_s")}
-    shape = _shape(vertices, faces[rows], weld - weld.min(initial=0), live)
+    shape = _shape_arrays(vertices, faces[rows], weld - weld.min(initial=0), live)
     flat = live & ~(np.isfinite(shape["rate1"]) & np.isfinite(shape["rate2"]) & (shape["rate2"] > 0))
     for name in _FLOATS:
         array = getattr(table, name)
@@ -132,7 +132,7 @@ def repose(table: Topology, vertices: Floats, faces: Ints, rows: slice) -> None:
         table.smooth[:, at] = np.tile(table.normal[:, at], (3, 1))
 
 
-def _shape(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> dict[str, Floats]:
+def _shape_arrays(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> dict[str, Floats]:
     """Return all parts of a table that depend on corner positions, by the names in _FLOATS."""
     a, b, c = (vertices[faces[:, k]] for k in range(3))
     edge1, edge2 = b - a, c - a
@@ -165,7 +165,7 @@ def _edge_directions(length1: Floats, x2: Floats, y2: Floats) -> tuple[Floats, F
     return (c / size).ravel(), (s / size).ravel()
 
 
-def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> Ints:
+def _link_edges(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -> Ints:
     """Return the neighbour of each half-edge for either side: the next face around the edge on that side.
 
     Where more than two faces meet (a wall on a floor), this keeps an agent in the wedge it walks in."""
@@ -207,10 +207,10 @@ def _links(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_]) -
     return link
 
 
-def _pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
+def _number_pieces(link: Ints, live: NDArray[np.bool_]) -> Ints:
     """Return the connected pieces as a number per face, ascending from 0 by their first faces; -1 for faces that are not live."""
     half = np.flatnonzero(link[0] != NO_LINK)
-    piece = components(np.stack([half // 3, link[0, half] >> 3], axis=1), len(live))
+    piece = component_numbers(np.stack([half // 3, link[0, half] >> 3], axis=1), len(live))
     result = np.full(len(live), -1, np.int32)
     result[live] = np.unique(piece[live], return_inverse=True)[1]
     return result
@@ -233,7 +233,7 @@ def _side_groups(link: Ints, live: NDArray[np.bool_], piece: Ints) -> Ints:
     shut[piece[live & (link[0].reshape(-1, 3) == NO_LINK).any(axis=1)]] = False
     closed = np.flatnonzero(live)[shut[piece[live]]]
     one, two = np.concatenate([*from_sides, closed]), np.concatenate([*to_sides, closed + m])
-    return components(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
+    return component_numbers(np.stack([one, two], axis=1), 2 * m).reshape(2, m)
 
 
 def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.bool_], normal: Floats) -> Floats:
@@ -258,11 +258,11 @@ def _smooth_normals(vertices: Floats, faces: Ints, weld: Ints, live: NDArray[np.
     slow = np.flatnonzero(sharp[flat])
     if slow.size:
         slow = slow[np.argsort(flat[slow], kind="stable")]
-        smooth[slow] = _creased(slow, flat, weight.ravel(), each)
+        smooth[slow] = _crease_normals(slow, flat, weight.ravel(), each)
     return np.ascontiguousarray(smooth.reshape(m, 9).T)
 
 
-def _creased(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Floats) -> Floats:
+def _crease_normals(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Floats) -> Floats:
     """Return normals of corners, which are sorted by their point, from the other corners there that meet theirs without a
     crease."""
     count = np.bincount(point[corner])[point[corner]]
@@ -277,7 +277,7 @@ def _creased(corner: NDArray[np.int64], point: Ints, weight: Floats, normal: Flo
     return np.where(size[:, None] > 0, total / np.maximum(size, 1e-300)[:, None], normal[corner])
 
 
-def facing(normals: Floats) -> NDArray[np.int8]:
+def facing_sides(normals: Floats) -> NDArray[np.int8]:
     """Return the axis direction nearest to each of normals [n,3]: 0 +x, 1 -x, 2 +y, 3 -y, 4 +z, 5 -z; the first of equals."""
     n = np.asarray(normals)
     axis = np.abs(n).argmax(axis=1)

@@ -8,10 +8,21 @@ from __future__ import annotations
 import numpy as np
 
 from antdsl.ground.mesh.boxes import FaceList
-from antdsl.ground.mesh.crossings import crossed
+from antdsl.ground.mesh.crossings import find_crossing
 from antdsl.ground.mesh.face_table import EDGE_C, EDGE_S, EDGES, MESH, WIDTH
-from antdsl.ground.mesh.stretches import AHEAD, BORDER, HANG, HOPS, along_border, finish, frame, free, go, laid_down
-from antdsl.ground.mesh.surroundings import LIFT, beyond, landed, other_ahead
+from antdsl.ground.mesh.stretches import (
+    AHEAD,
+    BORDER,
+    HANG,
+    HOPS,
+    along_border,
+    final_pose,
+    frame,
+    free_distance,
+    lay_on_face,
+    walk_stretches,
+)
+from antdsl.ground.mesh.surroundings import LIFT, find_piece_ahead, look_beyond_border, turn_to_face
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.mesh.walkers import (
     Clearances,
@@ -41,9 +52,9 @@ from antdsl.machine_code.kernels import (
     inlined,
     kernel,
 )
-from antdsl.numerics.kernel_vectors import Pose, Vec3, Weights, of, put
-from antdsl.numerics.kernel_vectors import inside as _inside
-from antdsl.numerics.parallel import own
+from antdsl.numerics.kernel_vectors import Pose, Vec3, Weights, of, put_vector
+from antdsl.numerics.kernel_vectors import clamp_weights as _inside
+from antdsl.numerics.parallel import buffer_index
 
 # Values of agents that wait: rows of an array of floats, and of one of whole numbers.
 B1, B2, SIDE, C, S, HEADING_C, HEADING_S, LEFT, DISTANCE, OVER, LENGTH, BODY, REALS = range(13)
@@ -54,7 +65,7 @@ FETCHED = 64  # agents with rows prefetched together: as many as a processor's n
 
 
 @inlined
-def bring_near(surface: Surface, mesh: Array1[I32], face: Array1[I32], begin: I64, end: I64) -> None:
+def prefetch_faces(surface: Surface, mesh: Array1[I32], face: Array1[I32], begin: I64, end: I64) -> None:
     """Prefetch the rows of the faces that agents from `begin` to before `end` stand on."""
     table, first = surface.table, surface.first
     for i in independent(begin, end):
@@ -68,7 +79,7 @@ def bring_near(surface: Surface, mesh: Array1[I32], face: Array1[I32], begin: I6
 
 
 @inlined
-def walked(
+def walk_agent(
     surface: Surface,
     near: Clearances,
     along_open: BOOL,
@@ -81,29 +92,29 @@ def walked(
     up: Vec3,
 ) -> Walk:
     """Walk an agent over face `f` and those beyond its edges, from weights and height `over` it, with its `size`, wish, heading
-    and up. Returns the result of `go`, with or without following open borders (`along_open`)."""
+    and up. Returns the result of `walk_stretches`, with or without following open borders (`along_open`)."""
     axis1, axis2, normal = frame(surface.table, WIDTH * f)
     along_up = up[0] * normal[0] + up[1] * normal[1] + up[2] * normal[2]
     side = -1.0 if along_up < 0 else 1.0
     over = over * side
     weights = _inside(weights[0] + 0.0, weights[1] + 0.0)
-    c, s, left = laid_down(axis1, axis2, wish[0], wish[1], wish[2], 1.0, 0.0)
-    heading_c, heading_s, _ = laid_down(axis1, axis2, heading[0], heading[1], heading[2], c, s)
-    high = _margin(near.noise, size)
-    if not free(near, f, weights) <= left + high:
+    c, s, left = lay_on_face(axis1, axis2, wish[0], wish[1], wish[2], 1.0, 0.0)
+    heading_c, heading_s, _ = lay_on_face(axis1, axis2, heading[0], heading[1], heading[2], c, s)
+    high = _search_margin(near.noise, size)
+    if not free_distance(near, f, weights) <= left + high:
         high = -np.inf  # has nothing to look out for on the whole way
     walker, progress = Walker(f, weights, side, (c, s), (heading_c, heading_s)), Progress(left, 0.0, 0)
     if over != 0 and left > 0:
         stop = Stop(HANG, 0, 0.0, 0)
     else:
-        walker, progress, stop = go(surface, near, high, False, along_open, walker, progress)
+        walker, progress, stop = walk_stretches(surface, near, high, False, along_open, walker, progress)
         if stop.hops > 0:
             over = 0.0
     return Walk(high, over, walker, progress, stop)
 
 
 @inlined
-def counted(how: Array1[U8], reals: Array2[F64], wholes: Array2[I64], begin: I64, end: I64) -> tuple[I64, I64]:
+def compact_waiting(how: Array1[U8], reals: Array2[F64], wholes: Array2[I64], begin: I64, end: I64) -> tuple[I64, I64]:
     """Return how many of the agents from `begin` to before `end` wait, and how many are left out. The columns of `reals` and
     `wholes` of waiting agents are moved together, from `begin` on."""
     waiting, left = 0, 0
@@ -144,31 +155,31 @@ def walk_all(
     wish, heading, up = vectors
     for start in range(begin, end, FETCHED):
         last = min(start + FETCHED, end)
-        bring_near(surface, mesh, face, start, last)
+        prefetch_faces(surface, mesh, face, start, last)
         for i in independent(start, last):
             how[i] = ENDS
             step, look, above_it = of(wish, i), of(heading, i), of(up, i)
             if mesh[i] < 0 or face[i] < 0 or not np.isfinite(b1s[i] + b2s[i] + overs[i]):
                 placed.mesh[i], placed.face[i], moved.travelled[i] = -1, -1, 0.0
                 placed.b1[i], placed.b2[i], placed.over[i] = 0.0, 0.0, 0.0
-                _put(moved, i, Pose((0.0, 0.0, 0.0), above_it, look, look))
+                _store_pose(moved, i, Pose((0.0, 0.0, 0.0), above_it, look, look))
                 continue
             f, weights = first[mesh[i]] + face[i], (b1s[i], b2s[i])
-            walk = walked(surface, near, False, f, weights, overs[i], body[i], step, look, above_it)
+            walk = walk_agent(surface, near, False, f, weights, overs[i], body[i], step, look, above_it)
             if walk.stop.event:
                 how[i] = WAITS
-                keep(reals, wholes, i, body[i], walk)
+                store_waiting(reals, wholes, i, body[i], walk)
                 continue
             # No edge leads to another mesh.
-            put_down(placed, i, mesh[i], walk.walker.face - first[mesh[i]], walk.over, walk.walker)
+            store_footing(placed, i, mesh[i], walk.walker.face - first[mesh[i]], walk.over, walk.walker)
             moved.travelled[i] = walk.progress.travelled
-            _put(moved, i, finish(surface.table, walk.walker, walk.over))
-    waiting, left = counted(how, reals, wholes, begin, end)
+            _store_pose(moved, i, final_pose(surface.table, walk.walker, walk.over))
+    waiting, left = compact_waiting(how, reals, wholes, begin, end)
     return begin, waiting, left
 
 
 @kernel
-def walk_on(
+def continue_walks(
     surface: Surface,
     near: Clearances,
     known: Pieces,
@@ -184,12 +195,12 @@ def walk_on(
 ) -> None:
     """Do the same for waiting agents, `begin` to `end` (exclusive). With `straight`, paths end at open borders."""
     table, first, boxes = surface.table, surface.first, known.boxes
-    face_list = FaceList(known.buffer, own(begin, known.count, known.buffer_count) * boxes.order.size)
+    face_list = FaceList(known.buffer, buffer_index(begin, known.count, known.buffer_count) * boxes.order.size)
     around = Surroundings(known.sides, boxes, known.lengths, face_list)
     for k in range(begin, end):
         i = wholes[AGENT, k]
         size = reals[BODY, k]
-        high = _margin(near.noise, size) if wholes[NEAR, k] != 0 else -np.inf
+        high = _search_margin(near.noise, size) if wholes[NEAR, k] != 0 else -np.inf
         f, b1, b2, side, over = wholes[FACE, k], reals[B1, k], reals[B2, k], reals[SIDE, k], reals[OVER, k]
         walker = Walker(f, (b1, b2), side, (reals[C, k], reals[S, k]), (reals[HEADING_C, k], reals[HEADING_S, k]))
         left, distance, turn, looked = reals[LEFT, k], reals[DISTANCE, k], wholes[TURN, k], False
@@ -201,26 +212,26 @@ def walk_on(
                 if length > 0:
                     to = to._replace(distance=length)
                     if known.cuts.first[walker.face + 1] > known.cuts.first[walker.face]:
-                        to = crossed(surface, around, known.cuts, walker, length)
-                    nearer = other_ahead(table, around, size, walker, left, to.distance)
+                        to = find_crossing(surface, around, known.cuts, walker, length)
+                    nearer = find_piece_ahead(table, around, size, walker, left, to.distance)
                     if nearer.face >= 0:
                         to = nearer
                 if to.face >= 0:
                     looked = False
                     turn += 1
             elif event == HANG:
-                edge, outward = _hung(table, surface.link, walker)
+                edge, outward = _open_border(table, surface.link, walker)
                 if outward:
                     event = BORDER
                     turn -= 1  # of a step, the loop counts the stretches
                 else:
-                    over, left, distance = _rise(over, 0.0, left, distance)
+                    over, left, distance = _climb_border(over, 0.0, left, distance)
                     if over != 0:
                         left = 0.0
             if event == BORDER:
                 turn += 1
-                to = beyond(table, around, size, edge, walker)
-                over, left, distance = _rise(over, to.height, left, distance)
+                to = look_beyond_border(table, around, size, edge, walker)
+                over, left, distance = _climb_border(over, to.height, left, distance)
                 if to.face < 0 and over == to.height:
                     row = WIDTH * walker.face + EDGES + 4 * edge
                     (c, s), left = along_border((table[row + EDGE_C], table[row + EDGE_S]), walker.direction, left)
@@ -236,9 +247,9 @@ def walk_on(
                 else:
                     over = 0.0
                     wholes[NEAR, k] = 1
-                    high = _margin(near.noise, size)
+                    high = _search_margin(near.noise, size)
             if to.face >= 0:
-                direction, heading = landed(table, walker, to.face, to.side)
+                direction, heading = turn_to_face(table, walker, to.face, to.side)
                 walker = Walker(to.face, to.weights, to.side, direction, heading)
                 left = max(left - to.distance, 0.0)
                 distance += to.distance
@@ -246,34 +257,34 @@ def walk_on(
                 if to.stops or wholes[SPENT, k] >= HOPS:
                     left = 0.0
                     wholes[BLOCKED, k] = 1
-            walker, progress, stop = go(surface, near, high, looked, False, walker, Progress(left, distance, turn))
+            walker, progress, stop = walk_stretches(surface, near, high, looked, False, walker, Progress(left, distance, turn))
             left, distance, turn = progress
             event, edge, length, _ = stop
             looked = False
         how[i] = ENDS
         mesh = int(table[WIDTH * walker.face + MESH])
-        put_down(placed, i, mesh, walker.face - first[mesh], over, walker)
+        store_footing(placed, i, mesh, walker.face - first[mesh], over, walker)
         moved.travelled[i], blocked[i] = distance, wholes[BLOCKED, k] != 0
-        _put(moved, i, finish(table, walker, over))
+        _store_pose(moved, i, final_pose(table, walker, over))
 
 
 @inlined
-def put_down(placed: Placed, i: I64, mesh: I64, face: I64, over: F64, walker: Walker) -> None:
+def store_footing(placed: Placed, i: I64, mesh: I64, face: I64, over: F64, walker: Walker) -> None:
     """Write the footing of agent `i` after a walk: on a face of a mesh, at height `over` it on its side."""
     placed.mesh[i], placed.face[i], placed.over[i] = mesh, face, over * walker.side + 0.0
     placed.b1[i], placed.b2[i] = walker.weights
 
 
 @inlined
-def _put(moved: Moved, i: I64, pose: Pose) -> None:
-    put(moved.place, i, pose.place)
-    put(moved.up, i, pose.up)
-    put(moved.heading, i, pose.heading)
-    put(moved.direction, i, pose.direction)
+def _store_pose(moved: Moved, i: I64, pose: Pose) -> None:
+    put_vector(moved.place, i, pose.place)
+    put_vector(moved.up, i, pose.up)
+    put_vector(moved.heading, i, pose.heading)
+    put_vector(moved.direction, i, pose.direction)
 
 
 @inlined
-def _margin(noise: F64, body: F64) -> F64:
+def _search_margin(noise: F64, body: F64) -> F64:
     """Return the distance (mm) from the path within which a piece of surface matters."""
     high = LIFT * body
     if not high > noise:
@@ -282,7 +293,7 @@ def _margin(noise: F64, body: F64) -> F64:
 
 
 @called
-def keep(reals: Array2[F64], wholes: Array2[I64], i: I64, body: F64, walk: Walk) -> None:
+def store_waiting(reals: Array2[F64], wholes: Array2[I64], i: I64, body: F64, walk: Walk) -> None:
     """Record an agent that waits. If it followed borders, these are SPENT of its HOPS, and it is BLOCKED."""
     high, over, walker, progress, stop = walk
     wholes[AGENT, i], wholes[SPENT, i], wholes[BLOCKED, i], wholes[NEAR, i] = i, stop.hops, stop.hops > 0, high > 0
@@ -295,7 +306,7 @@ def keep(reals: Array2[F64], wholes: Array2[I64], i: I64, body: F64, walk: Walk)
 
 
 @inlined
-def _rise(over: F64, level: F64, left: F64, distance: F64) -> tuple[F64, F64, F64]:
+def _climb_border(over: F64, level: F64, left: F64, distance: F64) -> tuple[F64, F64, F64]:
     """Rise or sink over a border to a level (mm above the current face), limited by the distance left. Returns the new height,
     and the distance left and travelled."""
     most = level - over
@@ -305,7 +316,7 @@ def _rise(over: F64, level: F64, left: F64, distance: F64) -> tuple[F64, F64, F6
 
 
 @inlined
-def _hung(table: Array1[F64], link: Array2[I32], walker: Walker) -> tuple[I64, BOOL]:
+def _open_border(table: Array1[F64], link: Array2[I32], walker: Walker) -> tuple[I64, BOOL]:
     """Return the open border that an agent is stepping over, and whether it heads out over it."""
     f, (b1, b2), side, (c, s), _ = walker
     weights, edge, least = (1.0 - b1 - b2, b1, b2), 0, np.inf

@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh import walkers
 from antdsl.ground.mesh.boxes import Boxes
-from antdsl.ground.mesh.face_table import OPEN, mark_open, pack, packed
-from antdsl.ground.mesh.open_borders import open_borders
-from antdsl.ground.mesh.surface_clearance import Clearances, Parts
-from antdsl.ground.mesh.surroundings import LIFT, Scale
+from antdsl.ground.mesh.face_table import OPEN, mark_open, pack_rows, pack_table
+from antdsl.ground.mesh.open_borders import find_open_borders
+from antdsl.ground.mesh.surface_clearance import Clearances, FaceParts
+from antdsl.ground.mesh.surroundings import LIFT, GroundScale
 from antdsl.ground.mesh.topology import NO_LINK, Topology
 from antdsl.numerics import parallel
 
@@ -24,7 +24,7 @@ _WAITING = 16  # agents that look for other surfaces, from which a thread pays
 
 
 @dataclass(frozen=True, slots=True)
-class Waiting:
+class WaitingAgents:
     """Agents after the first loop: floats and integers of those that wait, one column each, and how many were left out."""
 
     reals: Floats
@@ -32,19 +32,19 @@ class Waiting:
     left: int
 
     @staticmethod
-    def of(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> Waiting:
+    def of(parts: list[tuple[int, int, int]], reals: Floats, wholes: NDArray[np.int64]) -> WaitingAgents:
         """Merge the results of kernels that ran the loop in parts."""
-        own = parallel.joined(parts, reals, wholes)
-        return Waiting(own[0], own[1], sum([left for _, _, left in parts]))
+        own = parallel.join_parts(parts, reals, wholes)
+        return WaitingAgents(own[0], own[1], sum([left for _, _, left in parts]))
 
 
-class Walk:
+class WalkTables:
     """Input of the loops: the `table` of faces, the mesh int32[m] of each face, the first face of each mesh, and the `packed`
     table."""
 
     def __init__(self, table: Topology, mesh: NDArray[np.int32], first: NDArray[np.int64]) -> None:
         self.table, self.first, self._mesh = table, first, mesh
-        self.packed = packed(table, mesh)
+        self.packed = pack_table(table, mesh)
         self._crowd: CrowdWalk | None = None  # that of the last step
         self._still = True  # no face has had another shape
         self._open, self._widest = np.empty(0, np.int64), -np.inf  # half-edges that are marked as open, for bodies so wide (mm)
@@ -54,22 +54,24 @@ class Walk:
         if self._still:
             self._still = False
             mark_open(self.packed, self._open, NO_LINK)
-        pack(self.packed, self.table, self._mesh, faces)
+        pack_rows(self.packed, self.table, self._mesh, faces)
 
-    def over(self, parts: Parts, boxes: Boxes, scale: Scale) -> CrowdWalk:
+    def over(self, parts: FaceParts, boxes: Boxes, scale: GroundScale) -> CrowdWalk:
         """Return the walk with `parts`, which have the distances to other surfaces."""
         return CrowdWalk(self, parts, boxes, scale)
 
-    def of_crowd(self, clearances: Clearances, boxes: Boxes, scale: Scale, longest: float, widest: float) -> CrowdWalk:
+    def crowd_walk_for(
+        self, clearances: Clearances, boxes: Boxes, scale: GroundScale, longest: float, widest: float
+    ) -> CrowdWalk:
         """Return the walk for displacements up to `longest` and bodies up to `widest` (mm), with the distances to surrounding
         surfaces."""
         if self._still and widest > self._widest:
             # For wider ones than these, or a crowd that grows would have it done again and again.
             self._widest = 1.5 * widest
             mark_open(self.packed, self._open, NO_LINK)
-            self._open = open_borders(self.table, boxes, scale, self._widest)
+            self._open = find_open_borders(self.table, boxes, scale, self._widest)
             mark_open(self.packed, self._open, OPEN)
-        parts, known = clearances.within(longest + LIFT * widest + 3 * scale.noise), self._crowd
+        parts, known = clearances.parts_within(longest + LIFT * widest + 3 * scale.noise), self._crowd
         if known is None or known.parts is not parts or known.boxes is not boxes or known.scale is not scale:
             known = self._crowd = self.over(parts, boxes, scale)
         return known
@@ -79,10 +81,10 @@ class Walk:
 class CrowdWalk:
     """A `walk` with `parts` (distances to other surfaces), `boxes` (their locations) and a `scale` (tolerances)."""
 
-    walk: Walk
-    parts: Parts
+    walk: WalkTables
+    parts: FaceParts
     boxes: Boxes
-    scale: Scale
+    scale: GroundScale
 
     def tables(self) -> tuple[walkers.Surface, walkers.Clearances]:
         """Return what kernels read: the faces, and the distances to other surfaces."""
@@ -106,12 +108,12 @@ class CrowdWalk:
         placed, moved, blocked = walkers.Placed._make(to[:5]), walkers.Moved._make(to[5:10]), to[10]
         reals, wholes = np.empty((loop.REALS, n)), np.empty((loop.WHOLES, n), np.int64)
         work = partial(loop.walk_all, *self.tables(), at, body, vectors, reals, wholes, how, placed, moved)
-        waiting = Waiting.of(parallel.in_parts(work, n, threads), reals, wholes)
-        self.on(waiting, how, placed, moved, blocked, threads, straight)
+        waiting = WaitingAgents.of(parallel.in_parts(work, n, threads), reals, wholes)
+        self.continue_waiting(waiting, how, placed, moved, blocked, threads, straight)
 
-    def on(
+    def continue_waiting(
         self,
-        waiting: Waiting,
+        waiting: WaitingAgents,
         how: NDArray[np.uint8],
         placed: walkers.Placed,
         moved: walkers.Moved,
@@ -130,6 +132,6 @@ class CrowdWalk:
         parts = parallel.parts(count, threads, _WAITING)
         buffer = np.empty(parts * boxes.order.size, np.int64)
         known = walkers.Pieces(sides, cuts, boxes.tree(), scale.lengths(), buffer, parts, count)
-        further = partial(loop.walk_on, *self.tables(), known, straight, reals, wholes, how, placed, moved, blocked)
+        further = partial(loop.continue_walks, *self.tables(), known, straight, reals, wholes, how, placed, moved, blocked)
         parallel.in_parts(further, count, threads, _WAITING)
         return rows

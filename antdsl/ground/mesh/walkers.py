@@ -47,7 +47,7 @@ class Cuts(NamedTuple):
 
 
 class Lengths(NamedTuple):
-    """`least`, `fine`, `under` and `touch` of `Scale` (mm)."""
+    """`least`, `fine`, `under` and `touch` of `GroundScale` (mm)."""
 
     least: F64
     fine: F64

@@ -6,7 +6,7 @@ feet on the zero level."""
 
 from __future__ import annotations
 
-from antdsl.ground.solid.volume import Unusable, Volume
+from antdsl.ground.solid.volume import UnusableMesh, Volume
 from antdsl.ground.solid.walking import move
 
-__all__ = ["Unusable", "Volume", "move"]
+__all__ = ["UnusableMesh", "Volume", "move"]

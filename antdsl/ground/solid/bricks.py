@@ -22,7 +22,7 @@ MASK64 = (1 << 64) - 1
 
 
 @dataclass(frozen=True, slots=True)
-class Unusable:
+class UnusableMesh:
     """Why a mesh cannot be a solid: one line in an artist's words, and what to do instead."""
 
     message: str
@@ -74,10 +74,10 @@ class Bricks:
         blocks = pool[self.table.reshape(self.shape)]
         return np.ascontiguousarray(blocks.transpose(0, 3, 1, 4, 2, 5).reshape(self.nodes))
 
-    def begin(self) -> None:
+    def record_start(self) -> None:
         """Measure the solid volume and store it as the start value."""
         used = self.values[: self.used * CUBE]
-        filled = filling(used, self.voxel).reshape(-1, CUBE).sum(axis=1, dtype=np.int64)
+        filled = fill_steps(used, self.voxel).reshape(-1, CUBE).sum(axis=1, dtype=np.int64)
         self.steps = self.steps_at_start = int(filled.take(self.table).sum())
         self.fresh = np.zeros(self.table.size, bool)
         self.mark_fresh(np.flatnonzero(self.table >= 2))
@@ -141,7 +141,7 @@ class Bricks:
         pool = self.values.reshape(-1, CUBE)
         slots = self.table[bricks]
         nodes = (bricks.astype(np.int64) << 12)[:, None] + np.arange(CUBE)
-        self.mark = int((mixed(nodes, values) - mixed(nodes, pool[slots])).sum(dtype=np.uint64)) & MASK64
+        self.mark = int((hash_nodes(nodes, values) - hash_nodes(nodes, pool[slots])).sum(dtype=np.uint64)) & MASK64
         pool[slots] = values
         self.touched = {brick: was for brick, was in self.touched.items() if brick in set(bricks.tolist())}
         self.steps = int(arrays["steps"])
@@ -156,7 +156,7 @@ class Bricks:
                     grid[np.maximum(i - a, 0), np.maximum(j - b, 0), np.maximum(k - c, 0)] = True
 
 
-def mixed(node: Index, distance: Distances) -> NDArray[np.uint64]:
+def hash_nodes(node: Index, distance: Distances) -> NDArray[np.uint64]:
     """Return a pseudorandom number for each node and its distance (Steele, Lea, Flood, Fast Splittable Pseudorandom Number
     Generators, 2014, p. 459).
 
@@ -170,7 +170,7 @@ def mixed(node: Index, distance: Distances) -> NDArray[np.uint64]:
     return x
 
 
-def filling(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
+def fill_steps(distance: NDArray[np.float32], voxel: float) -> NDArray[np.int32]:
     """Return how full the voxels around nodes are, 0 .. 256: half at the surface, empty or full from half a voxel away."""
     part = np.float32(0.5) - distance * np.float32(1.0 / voxel)
     steps: NDArray[np.int32] = np.round(np.clip(part, np.float32(0), np.float32(1)) * np.float32(STEPS)).astype(np.int32)

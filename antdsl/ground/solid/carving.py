@@ -31,7 +31,7 @@ _FULL = np.float32(STEPS)
 
 
 @dataclass(frozen=True, slots=True)
-class Reached:
+class ChangedNodes:
     """Nodes that balls change, one row per ball and node: brick * 4096 + index in the brick, new distance, ball."""
 
     nodes: Index
@@ -45,7 +45,7 @@ def carve(bricks: Bricks, centres: Floats, radii: Floats, owners: Index) -> Floa
     # The same whatever order the balls come in: at a tie the least owner, then the least place.
     order = np.lexsort((radii, centres[:, 2], centres[:, 1], centres[:, 0], np.asarray(owners, np.int64).reshape(-1)))
     centres, radii = centres[order], radii[order]
-    reached = _reached(bricks, centres, radii)
+    reached = _find_changed_nodes(bricks, centres, radii)
     removed = np.zeros(len(order))
     if reached.nodes.size:
         brick = reached.nodes >> 12
@@ -53,13 +53,13 @@ def carve(bricks: Bricks, centres: Floats, radii: Floats, owners: Index) -> Floa
         changed[brick] = True
         bricks.open(np.flatnonzero(changed))
         at = (bricks.table.take(brick).astype(np.int64) << 12) + (reached.nodes & (CUBE - 1))
-        lost = _write(bricks, at, reached, len(order))
+        lost = _write_changes(bricks, at, reached, len(order))
         bricks.steps -= int(lost.sum())
         removed[order] = lost * bricks.step_volume
     return removed
 
 
-def _meeting(bricks: Bricks, centres: Floats, radii: Floats) -> tuple[Index, Index]:
+def _select_balls(bricks: Bricks, centres: Floats, radii: Floats) -> tuple[Index, Index]:
     """Return the balls, ascending, that may reach into the grid, and the reach of each in voxels, rounded up."""
     local = (centres - bricks.origin) / bricks.voxel
     reach = (radii - bricks.least) / bricks.voxel
@@ -71,17 +71,17 @@ def _meeting(bricks: Bricks, centres: Floats, radii: Floats) -> tuple[Index, Ind
     return rows, np.ceil(np.minimum(reach[rows], 2.0 * max(bricks.nodes))).astype(np.int64)
 
 
-def _reached(bricks: Bricks, centres: Floats, radii: Floats) -> Reached:
-    rows, steps = _meeting(bricks, centres, radii)
+def _find_changed_nodes(bricks: Bricks, centres: Floats, radii: Floats) -> ChangedNodes:
+    rows, steps = _select_balls(bricks, centres, radii)
     great = np.flatnonzero(steps > _GREAT)
-    parts = [_great(bricks, centres, radii, int(ball)) for ball in rows[great]]
+    parts = [_carve_large(bricks, centres, radii, int(ball)) for ball in rows[great]]
     small = np.flatnonzero(steps <= _GREAT)
-    parts.append(_small(bricks, centres, radii, rows[small], steps[small]))
+    parts.append(_carve_small(bricks, centres, radii, rows[small], steps[small]))
     nodes, values, balls = (np.concatenate(p) for p in zip(*parts, strict=True)) if len(parts) > 1 else parts[0]
-    return Reached(nodes, values, balls)
+    return ChangedNodes(nodes, values, balls)
 
 
-def _great(bricks: Bricks, centres: Floats, radii: Floats, ball: int) -> Pairs:
+def _carve_large(bricks: Bricks, centres: Floats, radii: Floats, ball: int) -> Pairs:
     """Return the changes of one large ball, brick by brick, so that memory is needed for changed nodes only."""
     centre, radius = centres[ball], radii[ball]
     ends = []
@@ -110,29 +110,29 @@ def _great(bricks: Bricks, centres: Floats, radii: Floats, ball: int) -> Pairs:
     return nodes, values, np.full(nodes.size, ball, np.int64)
 
 
-def _small(bricks: Bricks, centres: Floats, radii: Floats, rows: Index, steps: Index) -> Pairs:
+def _carve_small(bricks: Bricks, centres: Floats, radii: Floats, rows: Index, steps: Index) -> Pairs:
     """What small balls change."""
     capacity = int(((2 * steps + 2) ** 3).sum())
     nodes, values, balls = np.empty(capacity, np.int64), np.empty(capacity, np.float32), np.empty(capacity, np.int64)
     tables = (bricks.table, bricks.values, bricks.origin, bricks.voxel, bricks.shape, bricks.least, bricks.most)
-    count = reach(tables, (centres, radii), rows, steps, (nodes, values, balls))
+    count = find_changes(tables, (centres, radii), rows, steps, (nodes, values, balls))
     return nodes[:count], values[:count], balls[:count]
 
 
-def _write(bricks: Bricks, at: Index, reached: Reached, count: int) -> Index:
+def _write_changes(bricks: Bricks, at: Index, reached: ChangedNodes, count: int) -> Index:
     """Store the maximum of the new distances in each node. Return the volume steps that each ball removed."""
     old_values = bricks.values.take(at)
     lost = np.zeros(count, np.int64)
     best = np.full(1 << (2 * at.size - 1).bit_length(), -1, np.int32)
     bits = (reached.values.view(np.uint32), old_values.view(np.uint32))
     changes = (reached.nodes, reached.values, reached.balls)
-    bricks.mark += write(bricks.values, at, changes, old_values, bits, 1.0 / bricks.voxel, best, lost)
+    bricks.mark += write_changes(bricks.values, at, changes, old_values, bits, 1.0 / bricks.voxel, best, lost)
     bricks.mark &= MASK64
     return lost
 
 
 @kernel
-def reach(bricks: Grid, all_balls: Balls, rows: Array1[I64], steps: Array1[I64], changes: Changes) -> I64:
+def find_changes(bricks: Grid, all_balls: Balls, rows: Array1[I64], steps: Array1[I64], changes: Changes) -> I64:
     """Fill `changes` with the changes of the balls `rows`, each within `steps` voxels. Return their number."""
     table, values, origin, voxel, shape, least, most = bricks
     centres, radii = all_balls
@@ -175,7 +175,7 @@ def reach(bricks: Grid, all_balls: Balls, rows: Array1[I64], steps: Array1[I64],
 
 
 @kernel
-def write(
+def write_changes(
     values: Array1[F32],
     at: Array1[I64],
     changes: Changes,
@@ -205,21 +205,21 @@ def write(
         last = best[place]
         if last >= 0:
             values[at[last]] = news[last]
-            lost[balls[last]] += _filled(old_values[last], scale) - _filled(news[last], scale)
-            mark += _mixed(nodes[last], news_bits[last]) - _mixed(nodes[last], old_bits[last])
+            lost[balls[last]] += _fill_step(old_values[last], scale) - _fill_step(news[last], scale)
+            mark += _hash_node(nodes[last], news_bits[last]) - _hash_node(nodes[last], old_bits[last])
     return mark
 
 
 @inlined
-def _filled(distance: F32, scale: F32) -> I64:
-    """As `bricks.filling`, of one node."""
+def _fill_step(distance: F32, scale: F32) -> I64:
+    """As `bricks.fill_steps`, of one node."""
     part = np.float32(0.5) - distance * scale
     part = min(max(part, np.float32(0)), np.float32(1))
     return np.int64(np.rint(part * _FULL))
 
 
 @inlined
-def _mixed(node: I64, bits: I64) -> U64:
+def _hash_node(node: I64, bits: I64) -> U64:
     """As `bricks.mixed`, of one node."""
     x = (np.uint64(node) << np.uint64(32)) ^ np.uint64(bits)
     x *= _M1

@@ -27,24 +27,24 @@ def distances(shape: tuple[int, int, int], near: Index, corners: Floats, band: f
     `corners` float64[n,3,3] are the triangles in voxels. Nodes next to a triangle are measured to it. From there outwards, layer
     by layer, nodes are measured to their neighbours' nearest triangles (Bridson, Fluid Simulation for Computer Graphics, 2015,
     section 4.2)."""
-    field = _Field(shape, near, corners)
-    for nodes, triangle in beside(corners):
+    field = _DistanceField(shape, near, corners)
+    for nodes, triangle in nodes_beside(corners):
         field.measure(nodes, triangle, False)
-    front = field.nearer()
+    front = field.take_nearer()
     while front.size:
         front = front[field.away[front] < band]
         around = field.columns(front)
-        nodes = [np.concatenate(parts) for parts in zip(*(_moved(around, step) for step in _STEPS), strict=True)]
+        nodes = [np.concatenate(parts) for parts in zip(*(_shift_columns(around, step) for step in _STEPS), strict=True)]
         field.measure(nodes, np.tile(field.nearest[front], len(_STEPS)), True)
-        front = field.nearer()
+        front = field.take_nearer()
     return field.away
 
 
-def _moved(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
+def _shift_columns(columns: list[Index], step: tuple[int, ...]) -> list[Index]:
     return [column + by for column, by in zip(columns, step, strict=True)]
 
 
-def beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
+def nodes_beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
     """Yield the nodes near the plane of each triangle, and about equally near to its outline: their columns and the triangle.
 
     Along the axis nearest to its normal, a triangle covers few lines of nodes, and few nodes of each line are near."""
@@ -59,7 +59,7 @@ def beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
         count = np.floor(flat.max(axis=1) + EXACT).astype(np.int64) - low + 1
         slope = normal[which]
         for t, u, v in boxes(low, count, _PIECE):
-            near = _over(flat, t, u, v)
+            near = _select_over(flat, t, u, v)
             t, u, v = t[near], u[near], v[near]
             first = corners[which[t], 0]
             level = (
@@ -73,12 +73,12 @@ def beside(corners: Floats) -> Iterator[tuple[list[Index], Index]]:
             count_up = np.maximum(np.floor(level + reach).astype(np.int64) - lowest + 1, 0)
             which_line = np.repeat(np.arange(t.size), count_up)
             nodes: list[Index] = [u, u, u]
-            nodes[axis] = lowest[which_line] + counted(count_up)
+            nodes[axis] = lowest[which_line] + count_from_zero(count_up)
             nodes[others[0]], nodes[others[1]] = u[which_line], v[which_line]
             yield nodes, which[t[which_line]]
 
 
-def _over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
+def _select_over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
     """Return the points that are over their triangle (k, 3, 2) or near the lines through its sides."""
     inside = np.ones(t.size, bool)
     turn = np.sign(
@@ -92,7 +92,7 @@ def _over(flat: Floats, t: Index, u: Index, v: Index) -> Index:
     return np.flatnonzero(inside)
 
 
-class _Field:
+class _DistanceField:
     """The nodes of some bricks: their distances, and the triangle nearest to each."""
 
     def __init__(self, shape: tuple[int, int, int], near: Index, corners: Floats) -> None:
@@ -100,12 +100,12 @@ class _Field:
         self._near = near
         self._first = np.full(math.prod(shape), -1, np.int32)  # place of each brick's nodes, by 4096
         self._first[near] = np.arange(near.size)
-        self._triangles = _measures(corners)
+        self._triangles = _triangle_measures(corners)
         self._nearer = np.zeros(near.size * CUBE, bool)
         self.away: Distances = np.full(near.size * CUBE, FAR, np.float32)
         self.nearest = np.full(near.size * CUBE, -1, np.int32)
 
-    def nearer(self) -> Index:
+    def take_nearer(self) -> Index:
         """Return the places that became nearer since the last call."""
         changed_nodes = np.flatnonzero(self._nearer)
         self._nearer[changed_nodes] = False
@@ -121,7 +121,7 @@ class _Field:
     def measure(self, nodes: list[Index], triangle: NDArray[np.integer], new: bool) -> None:
         """Measure each node to its triangle; with `new`, only the nodes without a distance."""
         parts = [
-            self._measured([n[a : a + _PIECE] for n in nodes], triangle[a : a + _PIECE], new)
+            self._nearer_distances([n[a : a + _PIECE] for n in nodes], triangle[a : a + _PIECE], new)
             for a in range(0, len(triangle), _PIECE)
         ]
         for at, away, name in parts:
@@ -132,7 +132,7 @@ class _Field:
             self.nearest[at[best]] = name[best]
             self._nearer[at] = True
 
-    def _measured(
+    def _nearer_distances(
         self, nodes: list[Index], triangle: NDArray[np.integer], new: bool
     ) -> tuple[Index, Distances, NDArray[np.integer]]:
         x, y, z = nodes
@@ -146,7 +146,7 @@ class _Field:
             inside &= (self.away.take(safe_index) > EXACT) & (self.nearest.take(safe_index) != triangle)
         rows = np.flatnonzero(inside)
         at, triangle = at[rows], triangle[rows]
-        away = _away(self._triangles, triangle, [x[rows], y[rows], z[rows]])
+        away = _distance_to_triangle(self._triangles, triangle, [x[rows], y[rows], z[rows]])
         if not new:
             # Beyond that, another triangle that was not tested may be nearer.
             sure = np.flatnonzero(away <= EXACT)
@@ -154,7 +154,7 @@ class _Field:
         return at, away, triangle
 
 
-def _measures(corners: Floats) -> Floats:
+def _triangle_measures(corners: Floats) -> Floats:
     """Return the triangle data for distance measurements, (27, n): corners, edges, edge normals in the plane, and inverse
     squares."""
     a, b, c = (np.ascontiguousarray(corners[:, k].T) for k in range(3))
@@ -170,7 +170,7 @@ def _measures(corners: Floats) -> Floats:
     return np.concatenate(rows)
 
 
-def _away(measures: Floats, triangle: NDArray[np.integer], nodes: list[Index]) -> Distances:
+def _distance_to_triangle(measures: Floats, triangle: NDArray[np.integer], nodes: list[Index]) -> Distances:
     """Return the distance of each node to its triangle: to the plane where the node projects inside the triangle, else to the
     nearest edge."""
     m = measures.take(triangle, axis=1)
@@ -201,17 +201,17 @@ def boxes(low: Index, count: Index, piece: int) -> Iterator[tuple[Index, Index, 
     Rectangles start at `low` (n, 2) and have `count` (n, 2) points along each axis."""
     count = np.maximum(count, 0)
     rows = np.repeat(np.arange(len(low)), count[:, 0])
-    u = low[rows, 0] + counted(count[:, 0])
+    u = low[rows, 0] + count_from_zero(count[:, 0])
     wide = count[rows, 1]
     ends = np.cumsum(wide)
     a = 0
     while a < rows.size:
         b = max(int(np.searchsorted(ends, (ends[a - 1] if a else 0) + piece, side="right")), a + 1)
         name = np.repeat(rows[a:b], wide[a:b])
-        yield name, np.repeat(u[a:b], wide[a:b]), low[name, 1] + counted(wide[a:b])
+        yield name, np.repeat(u[a:b], wide[a:b]), low[name, 1] + count_from_zero(wide[a:b])
         a = b
 
 
-def counted(counts: Index) -> Index:
+def count_from_zero(counts: Index) -> Index:
     """0, 1 .. for each count, one after another."""
     return np.arange(int(counts.sum())) - np.repeat(np.cumsum(counts) - counts, counts)

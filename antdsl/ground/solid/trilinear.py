@@ -31,18 +31,18 @@ def grid_of(bricks: Bricks) -> tuple[Any, ...]:
 def distance(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> Floats:
     """Signed distance at places (mm)."""
     signed_distances = np.empty(len(x))
-    distances(grid_of(bricks), _contiguous_columns(x, y, z), signed_distances)
+    write_distances(grid_of(bricks), _contiguous_columns(x, y, z), signed_distances)
     return signed_distances
 
 
-def field(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
+def distance_and_gradient(bricks: Bricks, x: Floats, y: Floats, z: Floats) -> tuple[Floats, Floats, Floats, Floats]:
     """Signed distance at places (mm), and its gradient."""
     d, gx, gy, gz = np.empty((4, len(x)))
-    fields(grid_of(bricks), _contiguous_columns(x, y, z), d, (gx, gy, gz))
+    write_distance_and_gradient(grid_of(bricks), _contiguous_columns(x, y, z), d, (gx, gy, gz))
     return d, gx, gy, gz
 
 
-def smooth(bricks: Bricks, x: Floats, y: Floats, z: Floats, lean: float = LEAN) -> list[Floats]:
+def smooth_gradient(bricks: Bricks, x: Floats, y: Floats, z: Floats, lean: float = LEAN) -> list[Floats]:
     """Return a gradient that varies smoothly, unlike the field's own: differences along each axis over `lean` voxels in both
     directions."""
     a = lean * bricks.voxel
@@ -60,7 +60,7 @@ def _contiguous_columns(*columns: Floats) -> list[Floats]:
 
 
 @kernel
-def distances(bricks: Grid, positions: Columns64, signed_distances: Array1[F64]) -> None:
+def write_distances(bricks: Grid, positions: Columns64, signed_distances: Array1[F64]) -> None:
     """Fill `signed_distances` with the signed distances at points."""
     x, y, z = positions
     for n in range(signed_distances.size):
@@ -68,16 +68,18 @@ def distances(bricks: Grid, positions: Columns64, signed_distances: Array1[F64])
 
 
 @kernel
-def fields(bricks: Grid, positions: Columns64, d: Array1[F64], gradient: Columns64) -> None:
+def write_distance_and_gradient(bricks: Grid, positions: Columns64, d: Array1[F64], gradient: Columns64) -> None:
     """Fill `d` with the signed distances at points, and `gradient` with the gradient there."""
     x, y, z = positions
     gx, gy, gz = gradient
     for n in range(d.size):
-        d[n], (gx[n], gy[n], gz[n]) = field_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
+        d[n], (gx[n], gy[n], gz[n]) = distance_and_gradient_at(bricks[0], bricks[1], bricks[2:], (x[n], y[n], z[n]))
 
 
 @called
-def slope_at(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], lean: F64, p: Vec3) -> Vec3:
+def smooth_gradient_at(
+    table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], lean: F64, p: Vec3
+) -> Vec3:
     """As `smooth`, at one place."""
     a = lean * grid[3]
     scale = 0.5 / a
@@ -90,7 +92,7 @@ def slope_at(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64,
 
 
 @inlined
-def _rim(place: F64, low: F64, over: F64, nodes: I64) -> tuple[I64, F64]:
+def _clamp_to_node(place: F64, low: F64, over: F64, nodes: I64) -> tuple[I64, F64]:
     """Return the node below a point along one axis, and the offset of the point from that node."""
     at = (place - low) * over
     at = at if at >= 0.0 else 0.0
@@ -108,9 +110,9 @@ def corners_at(
 
     A point outside the grid, or with NaN, counts as on the rim."""
     over = 1.0 / grid[3]
-    i, fx = _rim(p[0], grid[0], over, grid[4] * 16)
-    j, fy = _rim(p[1], grid[1], over, grid[5] * 16)
-    k, fz = _rim(p[2], grid[2], over, grid[6] * 16)
+    i, fx = _clamp_to_node(p[0], grid[0], over, grid[4] * 16)
+    j, fy = _clamp_to_node(p[1], grid[1], over, grid[5] * 16)
+    k, fz = _clamp_to_node(p[2], grid[2], over, grid[6] * 16)
     i1, j1, k1 = i + 1, j + 1, k + 1
     bx0, bx1 = (i >> 4) * grid[5] * grid[6], (i1 >> 4) * grid[5] * grid[6]
     by0, by1 = (j >> 4) * grid[6], (j1 >> 4) * grid[6]
@@ -118,19 +120,19 @@ def corners_at(
     x0, x1, y0, y1, z0, z1 = (i & 15) << 8, (i1 & 15) << 8, (j & 15) << 4, (j1 & 15) << 4, k & 15, k1 & 15
     return (
         (
-            _node(table, values, bx0 + by0 + bz0, x0 + y0 + z0), _node(table, values, bx0 + by0 + bz1, x0 + y0 + z1),
-            _node(table, values, bx0 + by1 + bz0, x0 + y1 + z0), _node(table, values, bx0 + by1 + bz1, x0 + y1 + z1),
+            _node_value(table, values, bx0 + by0 + bz0, x0 + y0 + z0), _node_value(table, values, bx0 + by0 + bz1, x0 + y0 + z1),
+            _node_value(table, values, bx0 + by1 + bz0, x0 + y1 + z0), _node_value(table, values, bx0 + by1 + bz1, x0 + y1 + z1),
         ),
         (
-            _node(table, values, bx1 + by0 + bz0, x1 + y0 + z0), _node(table, values, bx1 + by0 + bz1, x1 + y0 + z1),
-            _node(table, values, bx1 + by1 + bz0, x1 + y1 + z0), _node(table, values, bx1 + by1 + bz1, x1 + y1 + z1),
+            _node_value(table, values, bx1 + by0 + bz0, x1 + y0 + z0), _node_value(table, values, bx1 + by0 + bz1, x1 + y0 + z1),
+            _node_value(table, values, bx1 + by1 + bz0, x1 + y1 + z0), _node_value(table, values, bx1 + by1 + bz1, x1 + y1 + z1),
         ),
         (fx, fy, fz),
     )  # fmt: skip
 
 
 @inlined
-def _node(table: Array1[I32], values: Array1[F32], brick: I64, place: I64) -> F64:
+def _node_value(table: Array1[I32], values: Array1[F32], brick: I64, place: I64) -> F64:
     return np.float64(values[(table[brick] << 12) + place])
 
 
@@ -145,7 +147,7 @@ def distance_at(table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F
 
 
 @called
-def field_at(
+def distance_and_gradient_at(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3
 ) -> tuple[F64, Vec3]:
     """The signed distance at a place (mm), and its gradient."""
@@ -161,7 +163,7 @@ def field_at(
 
 
 @dataclass(frozen=True, slots=True)
-class Projected:
+class SurfacePoints:
     """Places on the surface float64[n,3], unit normals out of the solid float64[n,3], and whether one was found in reach."""
 
     points: Floats
@@ -169,19 +171,19 @@ class Projected:
     is_in_reach: NDArray[np.bool_]
 
 
-def project(bricks: Bricks, points: Floats, hints: Floats, reach: float | None = None) -> Projected:
+def project(bricks: Bricks, points: Floats, hints: Floats, reach: float | None = None) -> SurfacePoints:
     """Project points as `Volume.project` does; without a result, the point and its hint stay."""
     start = np.array(points, np.float64, order="C").reshape(-1, 3)
     hint = np.array(np.broadcast_to(np.asarray(hints, np.float64), start.shape), order="C")
     landed, turned, is_in_reach = np.empty_like(start), np.empty_like(start), np.empty(len(start), np.bool_)
-    settle(grid_of(bricks), start, hint, CLOSE * bricks.voxel, landed, turned, is_in_reach)
+    project_points(grid_of(bricks), start, hint, CLOSE * bricks.voxel, landed, turned, is_in_reach)
     far = 2 * bricks.voxel if reach is None else float(reach)
     is_in_reach &= ((landed - start) ** 2).sum(axis=1) <= far * far
-    return Projected(np.where(is_in_reach[:, None], landed, start), np.where(is_in_reach[:, None], turned, hint), is_in_reach)
+    return SurfacePoints(np.where(is_in_reach[:, None], landed, start), np.where(is_in_reach[:, None], turned, hint), is_in_reach)
 
 
 @kernel
-def settle(
+def project_points(
     bricks: Grid,
     start: Array2[F64],
     hints: Array2[F64],
@@ -190,16 +192,16 @@ def settle(
     normals: Array2[F64],
     is_settled: Array1[BOOL],
 ) -> None:
-    """Apply `settle_at` to points and hints [n,3]; write the results to the last three arrays."""
+    """Apply `project_point` to points and hints [n,3]; write the results to the last three arrays."""
     for i in range(is_settled.size):
         p, hint = (start[i, 0], start[i, 1], start[i, 2]), (hints[i, 0], hints[i, 1], hints[i, 2])
-        is_settled[i], q, normal = settle_at(bricks[0], bricks[1], bricks[2:], p, hint, close)
+        is_settled[i], q, normal = project_point(bricks[0], bricks[1], bricks[2:], p, hint, close)
         for k in range(3):
             positions[i, k], normals[i, k] = q[k], normal[k]
 
 
 @called
-def settle_at(
+def project_point(
     table: Array1[I32], values: Array1[F32], grid: tuple[F64, F64, F64, F64, I64, I64, I64], p: Vec3, hint: Vec3, close: F64
 ) -> tuple[BOOL, Vec3, Vec3]:
     """Return whether the surface was found, a point within `close` (mm) of it, and the normal there. Without a result, return `p`
@@ -212,7 +214,7 @@ def settle_at(
     if not np.isfinite(p[0] + p[1] + p[2]):
         return False, p, hint
     for turn in range(SETTLING):
-        d, g = field_at(table, values, grid, q)
+        d, g = distance_and_gradient_at(table, values, grid, q)
         square = dot(g, g)
         if abs(d) <= close:
             if square > 0:

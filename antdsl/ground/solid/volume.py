@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.ground.solid import carving, trilinear, voxelising
-from antdsl.ground.solid.bricks import CUBE, SIDE, Bricks, Unusable
+from antdsl.ground.solid.bricks import CUBE, SIDE, Bricks, UnusableMesh
 
 Piece = tuple[int, NDArray[np.float64], NDArray[np.int32]]
 
@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 Distances = NDArray[np.float32]
 Arrays = dict[str, NDArray[Any]]
 
-__all__ = ["Unusable", "Volume"]
+__all__ = ["UnusableMesh", "Volume"]
 
 
 @dataclass(slots=True)
@@ -33,14 +33,14 @@ class Volume:
     @staticmethod
     def from_mesh(
         vertices: Floats, faces: NDArray[np.integer[Any]], voxel: float, *, cap: int = limits.VOXELS
-    ) -> Volume | Unusable:
+    ) -> Volume | UnusableMesh:
         """Return the solid inside a closed mesh, vertices float64[n,3] mm and faces int[m,3], sampled every `voxel` mm.
 
         Inside means that the winding number is not 0 (odd parity, when the faces have inconsistent winding). `cap` is the maximum
         number of voxels in the mesh's bounding box. A mesh that cannot be a solid (open, too many voxels) is returned as
-        `Unusable`."""
+        `UnusableMesh`."""
         bricks = voxelising.voxelise(np.asarray(vertices, np.float64), np.asarray(faces, np.int64), float(voxel), cap)
-        return bricks if isinstance(bricks, Unusable) else Volume(bricks)
+        return bricks if isinstance(bricks, UnusableMesh) else Volume(bricks)
 
     @property
     def voxel(self) -> float:
@@ -52,7 +52,7 @@ class Volume:
         """Least and greatest distance of the field, mm: deeper inside and farther outside it is flat."""
         return self.bricks.least, self.bricks.most
 
-    def dense(self) -> NDArray[np.float32]:
+    def dense_distances(self) -> NDArray[np.float32]:
         """The distances at all nodes of the grid, float32[x, y, z] mm; the node (0, 0, 0) is at `low`."""
         return self.bricks.dense()
 
@@ -78,20 +78,20 @@ class Volume:
 
     def sample_and_gradient(self, points: Floats) -> tuple[Distances, Distances]:
         """Return distance and gradient together, for little more than the cost of one."""
-        distance, *gradient = trilinear.field(self.bricks, *_columns(points))
+        distance, *gradient = trilinear.distance_and_gradient(self.bricks, *_columns(points))
         return distance.astype(np.float32), np.stack(gradient).astype(np.float32).T
 
-    def upright(self, points: Floats, otherwise: Floats) -> Floats:
+    def upright_normals(self, points: Floats, otherwise: Floats) -> Floats:
         """Return unit normals float64[n,3] out of the solid that vary smoothly along the surface. Bodies stand by these normals.
 
         Where the field is flat, the result is `otherwise` ([3] or [n,3])."""
-        slope = trilinear.smooth(self.bricks, *_columns(points))
+        slope = trilinear.smooth_gradient(self.bricks, *_columns(points))
         size = np.sqrt((slope[0] * slope[0] + slope[1] * slope[1]) + slope[2] * slope[2])
         clear = size > 1e-3
         unit = np.stack([s / np.where(clear, size, 1.0) for s in slope], axis=1)
         return np.where(clear[:, None], unit, np.asarray(otherwise, np.float64))
 
-    def project(self, points: Floats, hints: Floats, reach: float | None = None) -> trilinear.Projected:
+    def project(self, points: Floats, hints: Floats, reach: float | None = None) -> trilinear.SurfacePoints:
         """Return points on the surface near points [n,3], with normals out of the solid.
 
         `hints` [n,3] are unit vectors out of the intended surface (an agent's up): a wall that faces the other way is rejected. A
@@ -158,13 +158,13 @@ def surface(bricks: Bricks, changed_only: bool) -> Iterator[Piece]:
     """As `Volume.surface`."""
     chosen_bricks = np.flatnonzero(bricks.fresh) if changed_only else np.arange(bricks.table.size)
     if not changed_only:
-        chosen_bricks = np.flatnonzero(_reaching(bricks))
+        chosen_bricks = np.flatnonzero(_bricks_to_mesh(bricks))
     for brick in chosen_bricks:
         bricks.fresh[brick] = False
-        yield _piece(bricks, int(brick))
+        yield _mesh_brick(bricks, int(brick))
 
 
-def _reaching(bricks: Bricks) -> NDArray[np.bool_]:
+def _bricks_to_mesh(bricks: Bricks) -> NDArray[np.bool_]:
     """Return the bricks with cells that touch a stored node."""
     stored = (bricks.table >= 2).reshape(bricks.shape)
     reach = stored.copy()
@@ -178,7 +178,7 @@ def _reaching(bricks: Bricks) -> NDArray[np.bool_]:
     return reach.ravel()
 
 
-def cells(bricks: Bricks, brick: int) -> NDArray[np.float32]:
+def corner_values(bricks: Bricks, brick: int) -> NDArray[np.float32]:
     """Values (17, 17, 17) at the corners of a brick's cells; fewer at the grid's end."""
     at = np.unravel_index(brick, bricks.shape)
     pool = bricks.values.reshape(-1, CUBE)
@@ -195,10 +195,10 @@ def cells(bricks: Bricks, brick: int) -> NDArray[np.float32]:
     return result
 
 
-def _piece(bricks: Bricks, brick: int) -> Piece:
+def _mesh_brick(bricks: Bricks, brick: int) -> Piece:
     from skimage.measure import marching_cubes
 
-    values = cells(bricks, brick)
+    values = corner_values(bricks, brick)
     if not (values.min() < 0 < values.max()):
         return brick, np.empty((0, 3)), np.empty((0, 3), np.int32)
     cut: Any = marching_cubes

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.casting.rasterise import triangle_cells
-from antdsl.ground.solid.bricks import AIR, CUBE, SIDE, SOLID, Bricks, Unusable
+from antdsl.ground.solid.bricks import AIR, CUBE, SIDE, SOLID, Bricks, UnusableMesh
 from antdsl.ground.solid.triangles import boxes, distances
-from antdsl.scene.geometry.closed import grained, open_edges
+from antdsl.scene.geometry.closed import count_open_edges, to_voxels
 
 _PIECE = 1 << 16  # pairs of triangle and line looked at together
 Floats = NDArray[np.float64]
@@ -24,29 +24,29 @@ _BLOCK = 4.0  # voxels
 _NODE_BYTES = 24  # bytes of memory for each node near the surface while distances are found
 
 
-def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bricks | Unusable:
+def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bricks | UnusableMesh:
     """As `Volume.from_mesh`."""
     if not (math.isfinite(voxel) and voxel > 0):
-        return Unusable("the voxel is not a length greater than 0", "write a length, such as `voxel: 1 mm`")
+        return UnusableMesh("the voxel is not a length greater than 0", "write a length, such as `voxel: 1 mm`")
     if not len(faces):
-        return Unusable("the mesh has no faces", "name a closed mesh")
+        return UnusableMesh("the mesh has no faces", "name a closed mesh")
     corners = vertices[faces]
     if not np.isfinite(corners).all():
-        return Unusable("the mesh has corners that are not finite numbers", "export the mesh again")
+        return UnusableMesh("the mesh has corners that are not finite numbers", "export the mesh again")
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
     sides = (high - low) / voxel
     shape = tuple(math.ceil((float(side) + 2 * _OUT + 4.0) / SIDE) for side in sides)
     voxel_count = float(np.prod(sides + 1))
     # A thin sheet or a rod needs room for whole bricks.
     if voxel_count > cap or float(np.prod(shape)) * CUBE > 8.0 * cap:
-        return _too_many(max(voxel_count, float(np.prod(shape)) * CUBE / 8), cap, voxel)
+        return _too_many_voxels(max(voxel_count, float(np.prod(shape)) * CUBE / 8), cap, voxel)
     # Not a whole number of voxels from the mesh: sides of a box would run through nodes, where the field has no clear slope.
     origin = low - (_OUT + 1.0 + np.array(_ASIDE)) * voxel
     corners = (corners - origin) / voxel
     shell = Shell(corners)
     if shell.open_edges:
         edges = "1 edge borders" if shell.open_edges == 1 else f"{shell.open_edges:,} edges border"
-        return Unusable(f"the mesh is not closed: {edges} on nothing", "close its holes, so that it has an inside")
+        return UnusableMesh(f"the mesh is not closed: {edges} on nothing", "close its holes, so that it has an inside")
     bricks = Bricks(
         origin=origin,
         voxel=voxel,
@@ -57,24 +57,24 @@ def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bricks |
         values=np.empty(0, np.float32),
         used=2,
     )
-    near = _near(bricks, corners)
+    near = _near_bricks(bricks, corners)
     if near.size * CUBE * _NODE_BYTES > limits.GRID_BYTES:
-        return _too_many(float(near.size) * CUBE, limits.GRID_BYTES // _NODE_BYTES, voxel)
-    _fill(bricks, shell, near, corners)
-    bricks.begin()
+        return _too_many_voxels(float(near.size) * CUBE, limits.GRID_BYTES // _NODE_BYTES, voxel)
+    _fill_distances(bricks, shell, near, corners)
+    bricks.record_start()
     return bricks
 
 
-def _too_many(voxel_count: float, cap: float, voxel: float) -> Unusable:
+def _too_many_voxels(voxel_count: float, cap: float, voxel: float) -> UnusableMesh:
     least = voxel * max((voxel_count / cap) ** (1 / 3), 1.1)
     digits = 1 - math.floor(math.log10(least))
     size = math.ceil(least * 10**digits) / 10**digits
-    return Unusable(
+    return UnusableMesh(
         f"{voxel_count:,.0f} voxels of {voxel:g} mm are more than {cap:,.0f}", f"take larger ones: `voxel: {size:g} mm`"
     )
 
 
-def _near(bricks: Bricks, corners: Floats) -> Index:
+def _near_bricks(bricks: Bricks, corners: Floats) -> Index:
     """Return the bricks, ascending, that may have a node in the band around the triangles."""
     grid = np.zeros(bricks.shape, bool)
     wide = _OUT + 1.0
@@ -89,7 +89,7 @@ def _near(bricks: Bricks, corners: Floats) -> Index:
     return np.flatnonzero(grid)
 
 
-def _fill(bricks: Bricks, shell: Shell, near: Index, corners: Floats) -> None:
+def _fill_distances(bricks: Bricks, shell: Shell, near: Index, corners: Floats) -> None:
     """Fill in the distances of the bricks near the surface, and the signs of all bricks."""
     flags, inside = brick_signs(shell, bricks.shape, near)
     away = distances(bricks.shape, near, corners, _OUT).reshape(-1, CUBE)
@@ -112,8 +112,8 @@ class Shell:
     float64[n,3,3] in voxels."""
 
     def __init__(self, corners: Floats) -> None:
-        self.corners, self.grain = grained(corners)
-        self.open_edges, self.wound = open_edges(self.corners)
+        self.corners, self.grain = to_voxels(corners)
+        self.open_edges, self.wound = count_open_edges(self.corners)
 
 
 def brick_signs(shell: Shell, shape: tuple[int, int, int], near: Index) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
@@ -150,7 +150,7 @@ def _crossings(shell: Shell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
     grain = shell.grain
     low = -((-tri.min(axis=1)) // grain)
     count = tri.max(axis=1) // grain - low + 1
-    crossings = [_crossed(tri, grain, *box) for box in boxes(low[:, :2], count[:, :2], _PIECE)]
+    crossings = [_piece_crossings(tri, grain, *box) for box in boxes(low[:, :2], count[:, :2], _PIECE)]
     if not crossings:
         none = np.empty(0, np.int64)
         return none, none, none, np.empty(0, np.int16)
@@ -158,7 +158,7 @@ def _crossings(shell: Shell) -> tuple[Index, Index, Index, NDArray[np.int16]]:
     return x, y, z, windings
 
 
-def _crossed(tri: Index, grain: int, t: Index, x: Index, y: Index) -> tuple[Index, Index, Index, NDArray[np.int16]]:
+def _piece_crossings(tri: Index, grain: int, t: Index, x: Index, y: Index) -> tuple[Index, Index, Index, NDArray[np.int16]]:
     px, py = x * grain, y * grain
     areas, above, below = [], np.ones(t.size, bool), np.ones(t.size, bool)
     for i, j in ((1, 2), (2, 0), (0, 1)):

@@ -8,7 +8,17 @@ import numpy as np
 
 from antdsl.ground.protocol import Floats, Footing, Move
 from antdsl.ground.solid.bricks import Bricks
-from antdsl.ground.solid.trilinear import CLOSE, LEAN, Grid, corners_at, distance_at, field_at, grid_of, settle_at, slope_at
+from antdsl.ground.solid.trilinear import (
+    CLOSE,
+    LEAN,
+    Grid,
+    corners_at,
+    distance_and_gradient_at,
+    distance_at,
+    grid_of,
+    project_point,
+    smooth_gradient_at,
+)
 from antdsl.ground.solid.volume import Volume
 from antdsl.machine_code.kernels import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, called, inlined, kernel
 from antdsl.numerics.kernel_vectors import Vec3, cross, dot
@@ -50,7 +60,7 @@ def move(
     body = np.broadcast_to(np.asarray(size, np.float64), (count,))
     close = np.clip(3e-5 * body, CLOSE * bricks.voxel, 1e-3 * bricks.voxel)
     with np.errstate(over="ignore", invalid="ignore"):
-        lean = stance(bricks, body)
+        lean = normal_reach(bricks, body)
     vectors, distances = np.empty((4, 3, count)), np.empty(count)
     blocked, lost = np.empty(count, bool), np.empty(count, bool)
     walk_all(grid_of(bricks), *columns, np.ascontiguousarray(close), lean, vectors, distances, blocked, lost)
@@ -58,7 +68,7 @@ def move(
     return Move(Footing.on_solids(number, place), place, stance_up, head, direction, distances, blocked, lost)
 
 
-def stance(bricks: Bricks, body: Floats) -> Floats:
+def normal_reach(bricks: Bricks, body: Floats) -> Floats:
     """Return the radius in voxels around a point over which a body's normal is measured."""
     return np.maximum(body * (STANCE / bricks.voxel), LEAN)
 
@@ -85,26 +95,26 @@ def walk_all(
     grid = bricks[2:]
     for i in range(distances.size):
         if i % _AHEAD == 0:
-            distances[i] = _touch(table, values, grid, points, i, min(i + _AHEAD, distances.size))
+            distances[i] = _prefetch_cells(table, values, grid, points, i, min(i + _AHEAD, distances.size))
         start = (points[0, i], points[1, i], points[2, i])
         old_up = (up[0, i], up[1, i], up[2, i])
         head = (heading[0, i], heading[1, i], heading[2, i])
         wish = (steps[0, i], steps[1, i], steps[2, i])
         if not np.isfinite(wish[0] + wish[1] + wish[2]):
             wish = (0.0, 0.0, 0.0)
-        normal = _unit(slope_at(table, values, grid, LEAN, start), old_up)
-        wish = _turned(wish, old_up, normal, head)
-        p, n, direction, distances[i], blocked[i], lost[i] = _walk(table, values, grid, start, normal, wish, close[i])
-        slope = slope_at(table, values, grid, lean[i], p)
+        normal = _unit(smooth_gradient_at(table, values, grid, LEAN, start), old_up)
+        wish = _rotate_between(wish, old_up, normal, head)
+        p, n, direction, distances[i], blocked[i], lost[i] = _walk_agent(table, values, grid, start, normal, wish, close[i])
+        slope = smooth_gradient_at(table, values, grid, lean[i], p)
         stance_up = _unit(slope, n) if dot(slope, slope) > THIN * THIN else n
-        head, _ = _laid(_turned(head, old_up, stance_up, head), stance_up)
-        direction, _ = _laid(_turned(direction, n, stance_up, direction), stance_up)
+        head, _ = _project_tangent(_rotate_between(head, old_up, stance_up, head), stance_up)
+        direction, _ = _project_tangent(_rotate_between(direction, n, stance_up, direction), stance_up)
         for k in range(3):
             results[0, k, i], results[1, k, i], results[2, k, i], results[3, k, i] = p[k], stance_up[k], head[k], direction[k]
 
 
 @called
-def _touch(
+def _prefetch_cells(
     table: Array1[I32],
     values: Array1[F32],
     grid: tuple[F64, F64, F64, F64, I64, I64, I64],
@@ -132,7 +142,7 @@ class Trip(NamedTuple):
 
 
 @called
-def _walk(
+def _walk_agent(
     table: Array1[I32],
     values: Array1[F32],
     grid: tuple[F64, F64, F64, F64, I64, I64, I64],
@@ -143,28 +153,28 @@ def _walk(
 ) -> Trip:
     """All steps of one agent."""
     voxel = grid[3]
-    direction, flat = _laid(wish, n)
+    direction, flat = _project_tangent(wish, n)
     left = min(np.sqrt(dot(wish, wish)), 2 * flat)
     stride, walked = STRIDE, 0.0
     settled, blocked = False, False
     if not left > 0:
-        is_settled, p, new_normal = settle_at(table, values, grid, p, n, close)
+        is_settled, p, new_normal = project_point(table, values, grid, p, n, close)
         if not is_settled:
             return Trip(p, n, direction, walked, False, True)
-        direction = _turn(direction, n, new_normal)
+        direction = _turn_direction(direction, n, new_normal)
         return Trip(p, new_normal, direction, walked, False, False)
     for _ in range(CROSSINGS):
         if not left > 0:
             break
         length = min(left, stride * voxel)
-        q, g, d = _onto(table, values, grid, p, n, direction, length, close)
+        q, g, d = _project_to_surface(table, values, grid, p, n, direction, length, close)
         new_normal = _unit(g, n)
         middle = distance_at(table, values, grid, ((p[0] + q[0]) * 0.5, (p[1] + q[1]) * 0.5, (p[2] + q[2]) * 0.5))
         displacement = (q[0] - p[0], q[1] - p[1], q[2] - p[2])
         far = FARTHER * length
         good = dot(displacement, displacement) <= far * far and abs(d) <= close and abs(middle) <= OFF * voxel
         if good and (length <= EDGE * voxel or dot(new_normal, n) > BACK):
-            direction = _turn(direction, n, new_normal)
+            direction = _turn_direction(direction, n, new_normal)
             p, n = q, new_normal
             rest = left - length
             left = rest if rest > LEFT_TOLERANCE * voxel else 0.0
@@ -172,10 +182,10 @@ def _walk(
             stride = min(stride * 2, STRIDE)
             settled, blocked = True, False
         elif not settled:
-            is_settled, p, new_normal = settle_at(table, values, grid, p, n, close)
+            is_settled, p, new_normal = project_point(table, values, grid, p, n, close)
             if not is_settled:
                 return Trip(p, n, direction, walked, blocked, True)
-            direction = _turn(direction, n, new_normal)
+            direction = _turn_direction(direction, n, new_normal)
             n = new_normal
             settled = True
         else:
@@ -185,21 +195,21 @@ def _walk(
                     break
                 # At the very bottom of a groove or the tip of a ridge: to its other wall, once in a move.
                 beyond = 2 * LEAST * voxel
-                _, g = field_at(
+                _, g = distance_and_gradient_at(
                     table,
                     values,
                     grid,
                     (p[0] + direction[0] * beyond, p[1] + direction[1] * beyond, p[2] + direction[2] * beyond),
                 )
                 new_normal = _unit(g, n)
-                direction = _turn(direction, n, new_normal)
+                direction = _turn_direction(direction, n, new_normal)
                 n = new_normal
                 stride, blocked = EDGE, True
     return Trip(p, n, direction, walked, blocked, False)
 
 
 @called
-def _onto(
+def _project_to_surface(
     table: Array1[I32],
     values: Array1[F32],
     grid: tuple[F64, F64, F64, F64, I64, I64, I64],
@@ -218,7 +228,7 @@ def _onto(
     voxel = grid[3]
     far = (p[0] + direction[0] * length, p[1] + direction[1] * length, p[2] + direction[2] * length)
     q = far
-    d, g = field_at(table, values, grid, q)
+    d, g = distance_and_gradient_at(table, values, grid, q)
     beyond = d > 0
     limit = 0.5 * voxel
     for _ in range(NEWTON):
@@ -230,7 +240,7 @@ def _onto(
         if size > limit:
             step = step * (limit / max(size, limit))
         q = (q[0] + step * g[0], q[1] + step * g[1], q[2] + step * g[2])
-        d, g = field_at(table, values, grid, q)
+        d, g = distance_and_gradient_at(table, values, grid, q)
     part = 0.5
     while abs(d) > close and part > 1e-4:
         depth = (-part if beyond else part) * length
@@ -238,7 +248,7 @@ def _onto(
         if (distance_at(table, values, grid, near) > 0) != beyond:
             for _ in range(BISECTIONS):
                 q = ((near[0] + far[0]) * 0.5, (near[1] + far[1]) * 0.5, (near[2] + far[2]) * 0.5)
-                d, g = field_at(table, values, grid, q)
+                d, g = distance_and_gradient_at(table, values, grid, q)
                 if not abs(d) > close:
                     break
                 if (d > 0) == beyond:
@@ -251,13 +261,13 @@ def _onto(
 
 
 @inlined
-def _turn(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Vec3:
-    direction, _ = _laid(_turned(direction, old_normal, new_normal, direction), new_normal)
+def _turn_direction(direction: Vec3, old_normal: Vec3, new_normal: Vec3) -> Vec3:
+    direction, _ = _project_tangent(_rotate_between(direction, old_normal, new_normal, direction), new_normal)
     return direction
 
 
 @called
-def _turned(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3) -> Vec3:
+def _rotate_between(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3) -> Vec3:
     """Return a vector rotated by the smallest rotation from one unit normal to the other. A half turn rotates over
     `direction`."""
     cosine = dot(old_normal, new_normal)
@@ -276,7 +286,7 @@ def _turned(v: Vec3, old_normal: Vec3, new_normal: Vec3, direction: Vec3) -> Vec
 
 
 @called
-def _laid(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
+def _project_tangent(v: Vec3, normal: Vec3) -> tuple[Vec3, F64]:
     """Return the unit vector perpendicular to the normal and nearest to `v`, and the length of the component of `v` perpendicular
     to the normal."""
     along = dot(v, normal)

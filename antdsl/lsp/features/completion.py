@@ -6,7 +6,18 @@ import re
 from collections.abc import Callable, Iterator
 
 from antdsl.lsp.features.context import context_at
-from antdsl.lsp.features.proposals import Item, Request, argument_names, behaviours, fields, members, own, species, things, values
+from antdsl.lsp.features.proposals import (
+    Item,
+    Request,
+    argument_names,
+    behaviours,
+    fields,
+    make_thing_rule,
+    members,
+    own_names,
+    species,
+    values,
+)
 from antdsl.lsp.words import FORM_HELP, KINDS, SETTINGS
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.expectations import MOTION
@@ -59,7 +70,7 @@ def _items(request: Request) -> Iterator[Item]:
 
 
 def _line_start(request: Request, rule: str) -> Iterator[Item]:
-    if rule == "top" and not request.document.text.text[: _start(request)].strip():
+    if rule == "top" and not request.document.text.text[: _statement_start(request)].strip():
         yield _word("ant")
     for word in LINE_WORDS.get(rule, ()):
         yield _word(word)
@@ -74,7 +85,7 @@ def _line_start(request: Request, rule: str) -> Iterator[Item]:
             if row.settable:
                 yield Item(word, "property", row.type, row.help + (f"; default {row.default}" if row.default else ""))
     elif rule in ("statement", "action"):
-        yield from own(request, assignable=True)
+        yield from own_names(request, assignable=True)
     elif rule == "weight":
         yield from _states(request)
     elif rule == "layer":
@@ -84,7 +95,7 @@ def _line_start(request: Request, rule: str) -> Iterator[Item]:
         yield from values(request)
 
 
-def _start(request: Request) -> int:
+def _statement_start(request: Request) -> int:
     return len(request.document.text.text) - len(request.document.text.text.lstrip())
 
 
@@ -139,11 +150,11 @@ def _states(request: Request, every: bool = False) -> Iterator[Item]:
                     yield Item(name, "state", f"state of {each.name}", state.label.text if state.label is not None else "")
 
 
-def _compared(request: Request) -> Iterator[Item]:
+def _comparison_values(request: Request) -> Iterator[Item]:
     return _states(request, every=True)
 
 
-def _on(request: Request) -> Iterator[Item]:
+def _event_or_field(request: Request) -> Iterator[Item]:
     yield Item("spawn", "keyword", "once, at birth")
     yield Item("collision", "keyword", "its body begins to touch another's", "", "collision(${1:other})", True)
     yield from _events(request)
@@ -165,7 +176,7 @@ def _colours(request: Request) -> Iterator[Item]:
     yield Item("for at least", "keyword", "the shortest time in this state")
 
 
-def _use(request: Request) -> Iterator[Item]:
+def _library_names(request: Request) -> Iterator[Item]:
     from antdsl.resources import library_names
 
     for name in library_names():
@@ -174,10 +185,10 @@ def _use(request: Request) -> Iterator[Item]:
 
 def _amounts(request: Request) -> Iterator[Item]:
     """Propose amounts to take or give: the animal's own attributes."""
-    return own(request, assignable=True)
+    return own_names(request, assignable=True)
 
 
-def _takes_from(request: Request) -> Iterator[Item]:
+def _take_sources(request: Request) -> Iterator[Item]:
     if re.match(r"(from|machine)\b", request.prefix.strip()) and "take" not in request.prefix:
         yield Item("any", "keyword", "out of every state but …")
     else:
@@ -189,7 +200,7 @@ def _motion(request: Request) -> Iterator[Item]:
         yield Item(name, "property", type)
 
 
-def _changed(request: Request) -> Iterator[Item]:
+def _spec_settings(request: Request) -> Iterator[Item]:
     """Propose what a spec may set: params and settings of fields, with their current value."""
     for table in request.names.species.values():
         for name, member in table.own.items():
@@ -208,33 +219,33 @@ def _with_value(name: str, value: nodes.Expr, help: nodes.Text | None) -> Item:
 
 def _item_or_animal(request: Request) -> Iterator[Item]:
     """Propose things that may be missing: an item or an animal."""
-    yield from things("items")(request)
+    yield from make_thing_rule("items")(request)
     yield from species(request)
 
 
-def _named(kind: str) -> Callable[[Request], Iterator[Item]]:
+def _names_of_kind(kind: str) -> Callable[[Request], Iterator[Item]]:
     """Return the function that proposes names for a statement, by the kind in its row."""
     others = {"field": fields, "event": _events, "species": species}
-    return others.get(kind) or things(*KINDS_OF_THINGS[kind].serves)
+    return others.get(kind) or make_thing_rule(*KINDS_OF_THINGS[kind].serves)
 
 
 _PROPOSALS: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
     (r"->[ \t]*$", _targets),
     (r"^start[ \t]+$", _states),
     (r"^from any except ([a-z_0-9]+, *)*$", _states),
-    (r"(\b|\.)(state|previous|next)[ \t]*[!=]=[ \t]*$", _compared),
-    (r"^field[ \t]+[a-z_0-9]+[ \t]+on[ \t]+([a-z_0-9]+,[ \t]*)*$", things("surface", "solid", "obstacle")),
-    (r"^on[ \t]+$", _on),
+    (r"(\b|\.)(state|previous|next)[ \t]*[!=]=[ \t]*$", _comparison_values),
+    (r"^field[ \t]+[a-z_0-9]+[ \t]+on[ \t]+([a-z_0-9]+,[ \t]*)*$", make_thing_rule("surface", "solid", "obstacle")),
+    (r"^on[ \t]+$", _event_or_field),
     (r"^each[ \t]+$", species),
-    *((rf"^{row.op}[ \t]+$", _named(row.target)) for row in EFFECTS.values() if row.target),
-    (r"^use[ \t]+$", _use),
+    *((rf"^{row.op}[ \t]+$", _names_of_kind(row.target)) for row in EFFECTS.values() if row.target),
+    (r"^use[ \t]+$", _library_names),
     (r"^state[ \t]+[a-z_0-9]+[ \t]+(\"[^\"]*\"[ \t]+)$", _colours),
     (r"^(behaviour\b.*[(,][ \t]*[a-z_0-9]+|keep[ \t]+[a-z_0-9]+|[a-z_0-9]+):[ \t]*$", lambda request: _after_colon(request)),
     (r"\b(take|give)[ \t]+(all|[^ \t]+([ \t]+[a-z%/]+)?)[ \t]+$", _amounts),
-    (r"\bfrom[ \t]+$", _takes_from),
+    (r"\bfrom[ \t]+$", _take_sources),
     (r"\bmotion\.$", _motion),
     (r"\bnone[ \t]+of[ \t]+$", _item_or_animal),
-    (r"(^|\{[ \t]*)set[ \t]+$", _changed),
+    (r"(^|\{[ \t]*)set[ \t]+$", _spec_settings),
 )
 
 

@@ -36,7 +36,7 @@ class Context:
     def rule(self) -> str:
         return self.blocks[-1].rule if self.blocks else "top"
 
-    def around(self, rule: str, word: str) -> str | None:
+    def enclosing_name(self, rule: str, word: str) -> str | None:
         """Return the name of the enclosing block of a kind: ("top", "species") gives `forager`."""
         above = "top"
         for block in self.blocks:
@@ -47,7 +47,7 @@ class Context:
         return None
 
 
-def begins_line(text: str, start: int) -> bool:
+def is_line_start(text: str, start: int) -> bool:
     """Return whether the word at `start` is the first of its statement; in a state's line, `interrupt` may precede it."""
     return context_at(text, start).line.strip() in ("", "interrupt")
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from antdsl.lsp.features.navigation import declared
+from antdsl.lsp.features.navigation import find_declaration
 from antdsl.lsp.language import LANGUAGE, flat, markdown, signature
 from antdsl.lsp.words import KINDS
 from antdsl.lsp.workspace import Document, Workspace
@@ -13,7 +13,7 @@ from antdsl.program.kinds import Kind, Type
 from antdsl.program.model import Program
 from antdsl.program.names.bindings import Key
 from antdsl.program.names.declared import declaration
-from antdsl.program.tables.units import unit_of
+from antdsl.program.tables.units import default_unit
 from antdsl.program.types.descriptions import type_words
 from antdsl.syntax import nodes
 
@@ -31,27 +31,27 @@ def _help(node: Any) -> str:
     return help.text if help is not None else ""
 
 
-def _typed(program: Program | None, key: Key) -> Type | None:
+def _checked_type(program: Program | None, key: Key) -> Type | None:
     """The type that the checker found for a name of a species."""
     species = program.species.get(key[1]) if program is not None else None
     if species is None:
         return None
-    return species.own.get(key[-1]) or next((p.type for p in species.params if p.name == f"{key[1]}.{key[-1]}"), None)
+    return species.own_types.get(key[-1]) or next((p.type for p in species.params if p.name == f"{key[1]}.{key[-1]}"), None)
 
 
 def _kind_line(type: Type | None, *details: str) -> str:
     if type is None or type.kind is Kind.BAD:
         return "; ".join(details)
-    unit = unit_of(type.dim) if type.kind in (Kind.NUMBER, Kind.VECTOR) else ""
+    unit = default_unit(type.dim) if type.kind in (Kind.NUMBER, Kind.VECTOR) else ""
     return "; ".join([type_words(type) + (f", in `{unit}`" if unit else ""), *details])
 
 
 def _own(workspace: Workspace, document: Document, key: Key) -> str | None:
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     if target is None:
         return None
     where, node = target[0], declaration(target[1].node) or target[1].node
-    typed = _typed(workspace.good(where.path), key)
+    typed = _checked_type(workspace.last_good_program(where.path), key)
     word = {nodes.ParamDecl: "param ", nodes.Let: "let ", nodes.Latch: "latch ", nodes.Fuzzy: "fuzzy "}.get(
         type(target[1].node), ""
     )
@@ -78,7 +78,7 @@ def _own(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 
 def _thing(workspace: Workspace, document: Document, key: Key) -> str | None:
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     node = target[1].node if target is not None else None
     if not isinstance(node, nodes.WorldItem):
         return None
@@ -89,10 +89,10 @@ def _thing(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 
 def _attribute(workspace: Workspace, document: Document, key: Key) -> str | None:
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     if target is None:
         return None
-    program = workspace.good(target[0].path)
+    program = workspace.last_good_program(target[0].path)
     thing = program.world.get(key[1]) if program is not None else None
     type = next((each.type for each in thing.attributes if each.name == key[2]), None) if thing is not None else None
     node = target[1].node
@@ -101,7 +101,7 @@ def _attribute(workspace: Workspace, document: Document, key: Key) -> str | None
 
 
 def _field(workspace: Workspace, document: Document, key: Key) -> str | None:
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     node = target[1].node if target is not None else None
     if not isinstance(node, nodes.FieldDecl):
         return None
@@ -111,7 +111,7 @@ def _field(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 
 def _species(workspace: Workspace, document: Document, key: Key) -> str | None:
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     if target is None:
         return None
     table = target[0].names.species.get(key[1])
@@ -121,7 +121,7 @@ def _species(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 
 def _state(workspace: Workspace, document: Document, key: Key) -> str | None:
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     node = target[1].node if target is not None else None
     if not isinstance(node, nodes.State):
         return None
@@ -140,13 +140,13 @@ def _state(workspace: Workspace, document: Document, key: Key) -> str | None:
         else "nothing leads out of it"
     )
     where = f"state of `{key[1]}`" + (f", machine `{key[2]}`" if key[2] != "main" else "")
-    still = "stands still: no line of it steers" if _rests(workspace, document, key, node) else ""
+    still = "stands still: no line of it steers" if _is_resting_state(workspace, document, key, node) else ""
     return markdown(f"state {node.name.text}{label}{colour}", least, leads, still, where)
 
 
-def _rests(workspace: Workspace, document: Document, key: Key, state: nodes.State) -> bool:
+def _is_resting_state(workspace: Workspace, document: Document, key: Key, state: nodes.State) -> bool:
     """Return whether a state has no steering while another state of its machine steers."""
-    target = declared(workspace, document, ("species", key[1]))
+    target = find_declaration(workspace, document, ("species", key[1]))
     members = target[1].node.members if target is not None else ()
     beside = next((m.members for m in members if isinstance(m, nodes.Machine) and m.name.text == key[2]), members)
     silent = not any(isinstance(line, nodes.Steer) for line in state.body)
@@ -154,7 +154,7 @@ def _rests(workspace: Workspace, document: Document, key: Key, state: nodes.Stat
 
 
 def _behaviour(workspace: Workspace, document: Document, key: Key) -> str | None:
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     node = target[1].node if target is not None else None
     if not isinstance(node, nodes.Behaviour) or target is None:
         return None
@@ -162,7 +162,7 @@ def _behaviour(workspace: Workspace, document: Document, key: Key) -> str | None
 
 
 def _inner(workspace: Workspace, document: Document, key: Key) -> str | None:
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     if target is None:
         return None
     node = target[1].node
@@ -174,12 +174,12 @@ def _inner(workspace: Workspace, document: Document, key: Key) -> str | None:
 
 
 def _let(workspace: Workspace, document: Document, key: Key) -> str | None:
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     return markdown(flat(target[1].node.span.text), f"in state `{key[3]}`") if target is not None else None
 
 
 def _machine(workspace: Workspace, document: Document, key: Key) -> str | None:
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     node = target[1].node if target is not None else None
     if not isinstance(node, nodes.Machine):
         return None

@@ -10,7 +10,7 @@ from antdsl.lsp.workspace import Document
 from antdsl.source import Source
 
 
-def formatted(document: Document) -> list[Edit] | None:
+def formatting_edits(document: Document) -> list[Edit] | None:
     """Return the edits that format a document; an empty list if it is formatted, None for a text with errors, which stays
     unchanged."""
     new_text, _ = syntax.format(Source(str(document.path), document.text.text))

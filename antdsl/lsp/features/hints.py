@@ -10,7 +10,7 @@ from math import ceil
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.tables.units import measure
 from antdsl.program.tables.vocabulary import TIME
-from antdsl.program.traverse import written
+from antdsl.program.traverse import written_nodes
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -28,7 +28,7 @@ class Hint:
 def hints(workspace: Workspace, document: Document) -> list[Hint]:
     """The hints of a program, in text order."""
     fps = frame_rate(workspace, document)
-    all_hints = [hint for item in document.parsed[0].items for hint in _hints(item, fps)]
+    all_hints = [hint for item in document.parsed[0].items for hint in _item_hints(item, fps)]
     return sorted(all_hints, key=lambda hint: document.start(hint.span))
 
 
@@ -36,7 +36,7 @@ def frame_rate(workspace: Workspace, document: Document) -> Fraction | None:
     """Return the frames per second of the scenes that use a program; None where they disagree or give none."""
     rates = set()
     for path in workspace.files():
-        if path.suffix == ".ant" or document.path not in workspace.linked(path):
+        if path.suffix == ".ant" or document.path not in workspace.linked_files(path):
             continue
         scene = workspace.document(path)
         if scene is not None:
@@ -47,17 +47,17 @@ def frame_rate(workspace: Workspace, document: Document) -> Fraction | None:
     return rates.pop() if len(rates) == 1 else None
 
 
-def _hints(item: object, fps: Fraction | None) -> Iterator[Hint]:
-    for part, _ in written(item):
+def _item_hints(item: object, fps: Fraction | None) -> Iterator[Hint]:
+    for part, _ in written_nodes(item):
         if isinstance(part, nodes.Layers):
-            yield from _ranks(part)
+            yield from _rank_hints(part)
         elif isinstance(part, nodes.Quantity):
-            hint = _frames(part, fps)
+            hint = _frame_hint(part, fps)
             if hint is not None:
                 yield hint
 
 
-def _ranks(node: nodes.Layers) -> Iterator[Hint]:
+def _rank_hints(node: nodes.Layers) -> Iterator[Hint]:
     mode = node.mode.text if node.mode is not None else "budget"
     if mode == "sum":
         return  # all count alike
@@ -66,7 +66,7 @@ def _ranks(node: nodes.Layers) -> Iterator[Hint]:
         yield Hint(layer.span, True, f"{rank}.", f"layer {rank} of {len(node.layers)}: {rule}")
 
 
-def _frames(node: nodes.Quantity, fps: Fraction | None) -> Hint | None:
+def _frame_hint(node: nodes.Quantity, fps: Fraction | None) -> Hint | None:
     """Durations become whole steps by rounding up."""
     known = measure(node.unit)
     if known is None or known.dim != TIME or known.step:

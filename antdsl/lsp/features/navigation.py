@@ -40,7 +40,7 @@ _UNKNOWN = {
 }  # fmt: skip
 
 
-class Refused(Exception):
+class RenameRefused(Exception):
     """A rename that would change what a program means; the text says why."""
 
 
@@ -54,18 +54,18 @@ class NameLocation:
         return self.document.range(self.span)
 
 
-def declared(workspace: Workspace, document: Document, key: Key) -> tuple[Document, Declaration] | None:
+def find_declaration(workspace: Workspace, document: Document, key: Key) -> tuple[Document, Declaration] | None:
     """Return where a symbol is declared. The document has priority over other files."""
     if key[0] in ("behaviour", "inner", "alias"):
         paths = [Path(key[1])]
     else:
-        paths = [document.path, *(path for path in workspace.family(document.path) if path != document.path)]
+        paths = [document.path, *(path for path in workspace.related_files(document.path) if path != document.path)]
     brought = None
     for path in paths:
         other = workspace.document(path)
         if other is None or not other.is_program:
             continue
-        for each in _meant(other, key):
+        for each in _candidate_keys(other, key):
             entry = other.names.declared.get(each)
             if entry is not None and (key[0] != "species" or hasattr(entry.node, "members")):
                 return other, entry
@@ -73,7 +73,7 @@ def declared(workspace: Workspace, document: Document, key: Key) -> tuple[Docume
     return brought
 
 
-def _meant(document: Document, key: Key) -> Iterator[Key]:
+def _candidate_keys(document: Document, key: Key) -> Iterator[Key]:
     """The keys that an unknown name may stand for in another file."""
     kinds = _UNKNOWN.get(key[0])
     if kinds is None:
@@ -96,14 +96,14 @@ def definition(workspace: Workspace, document: Document, offset: int) -> list[Na
     for occurrence in document.at(offset):
         key = occurrence.key
         if key[0] in ("file", "library"):
-            for other in _files(workspace, key):
+            for other in _related_documents(workspace, key):
                 return [NameLocation(other, Span(_source(other), 0, 0))]
         elif key[0] == "element":
             return [NameLocation(document, each.span) for each in document.occurrences if each.key == key and each.declares]
-        elif key[0] in ("scene-item", "?scene") and (items := list(_items(workspace, document, key[-1]))):
+        elif key[0] in ("scene-item", "?scene") and (items := list(_item_locations(workspace, document, key[-1]))):
             return items[:1]
         else:
-            place = declared(workspace, document, key)
+            place = find_declaration(workspace, document, key)
             if place is not None:
                 locations.setdefault(
                     (place[0].path, place[0].start(place[1].name.span)), NameLocation(place[0], place[1].name.span)
@@ -113,15 +113,15 @@ def definition(workspace: Workspace, document: Document, offset: int) -> list[Na
     return list(locations.values())
 
 
-def _items(workspace: Workspace, document: Document, name: str) -> Iterator[NameLocation]:
+def _item_locations(workspace: Workspace, document: Document, name: str) -> Iterator[NameLocation]:
     """Yield where scenes name an item: this scene, and those that it extends or that extend it."""
-    for path in workspace.extending(document.path):
+    for path in workspace.extending_scenes(document.path):
         other = workspace.document(path)
         if other is not None and name in other.scene.items:
             yield NameLocation(other, other.scene.items[name])
 
 
-def _files(workspace: Workspace, key: Key) -> Iterator[Document]:
+def _related_documents(workspace: Workspace, key: Key) -> Iterator[Document]:
     from antdsl.resources import library_file
 
     path = library_file(key[1]) if key[0] == "library" else Path(key[1])
@@ -136,9 +136,9 @@ def _source(document: Document) -> Source:
 
 def references(workspace: Workspace, document: Document, offset: int, declaration: bool = True) -> list[NameLocation]:
     """Return all references to the same symbol, in all related files."""
-    keys = {meant(workspace, document, each.key) for each in _same_place(document, offset)}
+    keys = {resolve_key(workspace, document, each.key) for each in _occurrences_at(document, offset)}
     locations: dict[tuple[Path, int], NameLocation] = {}
-    for other, occurrence in _all(workspace, document, keys):
+    for other, occurrence in _all_occurrences(workspace, document, keys):
         if declaration or not occurrence.declares:
             locations.setdefault((other.path, other.start(occurrence.span)), NameLocation(other, occurrence.span))
     return sorted(
@@ -147,29 +147,29 @@ def references(workspace: Workspace, document: Document, offset: int, declaratio
     )
 
 
-def meant(workspace: Workspace, document: Document, key: Key) -> Key:
+def resolve_key(workspace: Workspace, document: Document, key: Key) -> Key:
     """Return the key of a name that this file alone does not resolve: an item of the base scene, or a declaration of a
     program."""
     if key[0] not in _UNKNOWN:
         return key
-    if key[0] == "?scene" and any(_items(workspace, document, key[1])):
+    if key[0] == "?scene" and any(_item_locations(workspace, document, key[1])):
         return ("scene-item", key[1])
-    target = declared(workspace, document, key)
+    target = find_declaration(workspace, document, key)
     return target[1].key if target is not None else key
 
 
-def _same_place(document: Document, offset: int) -> list[Occurrence]:
+def _occurrences_at(document: Document, offset: int) -> list[Occurrence]:
     occurrences = document.at(offset)
     return [each for each in occurrences if each.span == occurrences[0].span]
 
 
-def _all(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[tuple[Document, Occurrence]]:
+def _all_occurrences(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[tuple[Document, Occurrence]]:
     if any(key[0] == "element" for key in keys):
         paths = [document.path]
     elif any(key[0] == "scene-item" for key in keys):
-        paths = workspace.extending(document.path)
+        paths = workspace.extending_scenes(document.path)
     else:
-        paths = workspace.family(document.path)
+        paths = workspace.related_files(document.path)
         paths += [Path(key[1]) for key in keys if key[0] in ("behaviour", "inner") and Path(key[1]) not in paths]
     known = {key[-1]: key for key in keys}
     for path in paths:
@@ -186,38 +186,42 @@ def _all(workspace: Workspace, document: Document, keys: set[Key]) -> Iterator[t
 # --- rename ----------------------------------------------------------------------------------------------------------
 
 
-def renamable(workspace: Workspace, document: Document, offset: int) -> Occurrence:
+def renamable_name(workspace: Workspace, document: Document, offset: int) -> Occurrence:
     """Return the renamable name at an offset. Raises Refused when there is none."""
     occurrence = occurrence_at(document, offset)
     if occurrence is None:
-        raise Refused("there is no name here")
-    occurrence = replace(occurrence, key=meant(workspace, document, occurrence.key))
+        raise RenameRefused("there is no name here")
+    occurrence = replace(occurrence, key=resolve_key(workspace, document, occurrence.key))
     word = occurrence.span.text.strip('"')
     if occurrence.key[0] not in GIVEN_BY_AUTHOR or (occurrence.key[0] == "event" and occurrence.key[1] in ("spawn", "collision")):
-        raise Refused(f"`{word}` is a word of the language, or is declared nowhere")
+        raise RenameRefused(f"`{word}` is a word of the language, or is declared nowhere")
     return occurrence
 
 
 def rename(workspace: Workspace, document: Document, offset: int, new: str) -> list[NameLocation]:
     """Return all positions that a new name must be written to. Names that `take` and `give` bind together are renamed
     together."""
-    first = renamable(workspace, document, offset)
+    first = renamable_name(workspace, document, offset)
     if not _NAME.fullmatch(new) or len(new) > limits.NAME_CHARACTERS:
-        raise Refused(f"`{new[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
+        raise RenameRefused(f"`{new[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
     called = first.key[0] == "behaviour" and (new in BUILTINS or new in REDUCERS)
     if new in _TAKEN or new in keywords() or called or _is_built_in(first.key, new):
-        raise Refused(f"`{new}` is a word of the language")
-    keys = _bound_together(workspace, document, {meant(workspace, document, each.key) for each in _same_place(document, offset)})
-    occurrences = {(other.path, other.start(each.span)): (other, each) for other, each in _all(workspace, document, keys)}
+        raise RenameRefused(f"`{new}` is a word of the language")
+    keys = _jointly_bound_keys(
+        workspace, document, {resolve_key(workspace, document, each.key) for each in _occurrences_at(document, offset)}
+    )
+    occurrences = {
+        (other.path, other.start(each.span)): (other, each) for other, each in _all_occurrences(workspace, document, keys)
+    }
     for key in keys:
-        place = declared(workspace, document, key)
-        if place is not None and not _own(workspace, place[0].path):
-            raise Refused(f"`{first.span.text}` belongs to the library, which is not changed from here")
+        place = find_declaration(workspace, document, key)
+        if place is not None and not _is_own_file(workspace, place[0].path):
+            raise RenameRefused(f"`{first.span.text}` belongs to the library, which is not changed from here")
         _refuse_collision(workspace, document, key, new)
     return [NameLocation(other, each.span) for other, each in occurrences.values()]
 
 
-def _own(workspace: Workspace, path: Path) -> bool:
+def _is_own_file(workspace: Workspace, path: Path) -> bool:
     from antdsl.resources import behaviours_folder
 
     inside = path.is_relative_to(behaviours_folder().resolve())
@@ -230,11 +234,11 @@ def _is_built_in(key: Key, new: str) -> bool:
     return key[0] == "attribute" and (new in ITEM_ATTRIBUTES or new in HIT_ATTRIBUTES)
 
 
-def _bound_together(workspace: Workspace, document: Document, keys: set[Key]) -> set[Key]:
+def _jointly_bound_keys(workspace: Workspace, document: Document, keys: set[Key]) -> set[Key]:
     """Return the keys that are renamed together with `keys`. `take 1 load from meal` names the animal's `load` and the food's at
     once: if one is renamed, so is the other."""
     pairs: list[set[Key]] = []
-    for path in workspace.family(document.path):
+    for path in workspace.related_files(document.path):
         other = workspace.document(path)
         by_place: dict[int, set[Key]] = {}
         for each in other.occurrences if other is not None else ():
@@ -257,24 +261,28 @@ def _refuse_collision(workspace: Workspace, document: Document, key: Key, new: s
     if key[0] in ("thing", "field", "species", "event"):
         rivals |= {(kind, new) for kind in ("thing", "field", "species", "event")}
     hiding = key[0] in ("thing", "field", "species", "event", "own", "let", "element", "inner")
-    for path in {*workspace.family(document.path), *([Path(key[1])] if key[0] in ("behaviour", "inner") else [])}:
+    for path in {*workspace.related_files(document.path), *([Path(key[1])] if key[0] in ("behaviour", "inner") else [])}:
         other = workspace.document(path)
         if other is None:
             continue
         names = other.names.declared if other.is_program else {}
         for rival_key in rivals:
             if rival_key in names or (rival_key[0] == "scene-item" and not other.is_program and new in other.scene.items):
-                raise Refused(f"there is a `{new}` already: {other.path.name}")
+                raise RenameRefused(f"there is a `{new}` already: {other.path.name}")
         if not (hiding and other.is_program):
             continue
         for each in names:
-            if each[-1] == new and each[0] in ("own", "let", "inner", "thing", "field", "species", "event") and _meets(key, each):
-                raise Refused(f"there is a `{new}` already that would be seen in its place: {other.path.name}")
+            if (
+                each[-1] == new
+                and each[0] in ("own", "let", "inner", "thing", "field", "species", "event")
+                and _share_scope(key, each)
+            ):
+                raise RenameRefused(f"there is a `{new}` already that would be seen in its place: {other.path.name}")
         if any(each.key[0] == "element" and each.span.text == new for each in other.occurrences):
-            raise Refused(f"a local `{new}` in {other.path.name} would hide it")
+            raise RenameRefused(f"a local `{new}` in {other.path.name} would hide it")
 
 
-def _meets(key: Key, other: Key) -> bool:
+def _share_scope(key: Key, other: Key) -> bool:
     """Whether two names can be seen from one place."""
     world = ("thing", "field", "species", "event")
     if key[0] in world or other[0] in world:

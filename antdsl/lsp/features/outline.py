@@ -31,11 +31,11 @@ class Symbol:
 
 def symbols(document: Document) -> list[Symbol]:
     if not document.is_program:
-        return list(_keys(document.scene.document)) if document.scene.document is not None else []
-    return [symbol for item in document.parsed[0].items if (symbol := _top(item)) is not None]
+        return list(_key_symbols(document.scene.document)) if document.scene.document is not None else []
+    return [symbol for item in document.parsed[0].items if (symbol := _item_symbol(item)) is not None]
 
 
-def _top(item: Any) -> Symbol | None:
+def _item_symbol(item: Any) -> Symbol | None:
     if isinstance(item, nodes.World):
         inner = [Symbol(each.name.text, "thing", each.span, each.name.span, each.kind.text) for each in item.items]
         return Symbol("world", "world", item.span, Span(item.span.source, item.span.start, item.span.start + 5), "", inner)
@@ -49,11 +49,11 @@ def _top(item: Any) -> Symbol | None:
         name = item.library or item.alias
         return Symbol(name.text, "file", item.span, name.span, "use") if name is not None else None
     if isinstance(item, nodes.Species):
-        return Symbol(item.name.text, "species", item.span, item.name.span, "species", list(_members(item.members)))
+        return Symbol(item.name.text, "species", item.span, item.name.span, "species", list(_member_symbols(item.members)))
     return None
 
 
-def _members(members: Any) -> Iterator[Symbol]:
+def _member_symbols(members: Any) -> Iterator[Symbol]:
     for member in members:
         declared = declaration(member)
         if declared is not None:
@@ -63,7 +63,9 @@ def _members(members: Any) -> Iterator[Symbol]:
         elif isinstance(member, nodes.State):
             yield Symbol(member.name.text, "state", member.span, member.name.span, member.label.text if member.label else "")
         elif isinstance(member, nodes.Machine):
-            yield Symbol(member.name.text, "machine", member.span, member.name.span, "machine", list(_members(member.members)))
+            yield Symbol(
+                member.name.text, "machine", member.span, member.name.span, "machine", list(_member_symbols(member.members))
+            )
         elif isinstance(member, nodes.Layers):
             yield Symbol("layers", "layers", member.span, Span(member.span.source, member.span.start, member.span.start + 6))
         elif isinstance(member, nodes.On):
@@ -72,20 +74,25 @@ def _members(members: Any) -> Iterator[Symbol]:
             yield Symbol(member.name.text, "attribute", member.span, member.name.span)
 
 
-def _keys(node: Node) -> Iterator[Symbol]:
+def _key_symbols(node: Node) -> Iterator[Symbol]:
     if isinstance(node, MappingNode):
         for key, value in node.entries.items():
             span = node.keys[key]
             entry_span = Span(span.source, span.start, max(span.end, value.span.end))
             detail = value.text if isinstance(value, ScalarNode) else ""
-            yield Symbol(key, "key", entry_span, span, detail[:60], list(_keys(value)))
+            yield Symbol(key, "key", entry_span, span, detail[:60], list(_key_symbols(value)))
     elif isinstance(node, SequenceNode):
         for item in node.items:
             if isinstance(item, MappingNode):
                 name = next((item.entries[k] for k in ("species",) if k in item.entries), None)
                 text = name.text if isinstance(name, ScalarNode) else "…"
                 yield Symbol(
-                    text, "key", item.span, Span(item.span.source, item.span.start, item.span.start + 1), "", list(_keys(item))
+                    text,
+                    "key",
+                    item.span,
+                    Span(item.span.source, item.span.start, item.span.start + 1),
+                    "",
+                    list(_key_symbols(item)),
                 )
 
 
@@ -116,10 +123,10 @@ def folds(document: Document) -> list[Fold]:
             first, last = text.place(stack.pop())[0], text.place(piece.start())[0]
             if last > first + 1:
                 all_folds.append(Fold(first, last - 1))
-    return sorted([*all_folds, *_runs(comments)], key=lambda fold: (fold.first, -fold.last))
+    return sorted([*all_folds, *_run_folds(comments)], key=lambda fold: (fold.first, -fold.last))
 
 
-def _runs(lines: list[int]) -> Iterator[Fold]:
+def _run_folds(lines: list[int]) -> Iterator[Fold]:
     first = None
     for number, line in enumerate(lines):
         first = line if first is None else first

@@ -56,14 +56,14 @@ class Request:
 
     @property
     def species(self) -> str | None:
-        return self.context.around("top", "species") or self.context.around("spec_line", "each")
+        return self.context.enclosing_name("top", "species") or self.context.enclosing_name("spec_line", "each")
 
     @property
     def machine(self) -> str:
-        return self.context.around("member", "machine") or "main"
+        return self.context.enclosing_name("member", "machine") or "main"
 
 
-def things(*kinds: str) -> Callable[[Request], Iterator[Item]]:
+def make_thing_rule(*kinds: str) -> Callable[[Request], Iterator[Item]]:
     def give(request: Request) -> Iterator[Item]:
         for name, item in request.names.things.items():
             if not kinds or item.kind.text in kinds:
@@ -82,9 +82,9 @@ def species(request: Request) -> Iterator[Item]:
         yield Item(name, "thing", "species")
 
 
-def _locals(request: Request) -> dict[str, tuple[str, Type | None]]:
+def _local_names(request: Request) -> dict[str, tuple[str, Type | None]]:
     """Return the local names at this position: for each its description in words, and its type if known."""
-    behaviour = request.names.behaviours.get(request.context.around("top", "behaviour") or "")
+    behaviour = request.names.behaviours.get(request.context.enclosing_name("top", "behaviour") or "")
     known_names: dict[str, tuple[str, Type | None]] = {}
     for each in (*behaviour.arguments, *behaviour.body) if behaviour is not None else ():
         written = each.type if isinstance(each, nodes.BehaviourArgument) else None
@@ -109,9 +109,9 @@ def _type(request: Request, name: str, local: Mapping[str, tuple[str, Type | Non
     if name == "self" and request.species:
         return Type(Kind.AGENT, of=request.species)
     checked, path = request.workspace.check(request.document.path), request.document.path
-    for program in (checked.program if checked is not None else None, request.workspace.good(path)):
+    for program in (checked.program if checked is not None else None, request.workspace.last_good_program(path)):
         species = program.species.get(request.species or "") if program is not None else None
-        known_type = species.own.get(name) if species is not None else None
+        known_type = species.own_types.get(name) if species is not None else None
         if known_type is not None and known_type.kind is not Kind.BAD:
             return known_type
     if name in request.names.species:
@@ -126,12 +126,12 @@ def members(request: Request) -> Iterator[Item]:
     if name is None:
         return
     word = name.group(1)
-    local = _locals(request)
+    local = _local_names(request)
     table = request.names.species.get(request.species or "")
     if word in request.names.modules and word not in local:
         module = request.workspace.document(request.names.modules[word])
         for behaviour in module.names.behaviours.values() if module is not None else ():
-            yield _call(behaviour)
+            yield _call_item(behaviour)
         return
     if table is not None and word in table.machines:
         for each in STATE_WORDS:
@@ -171,15 +171,15 @@ def argument_names(request: Request) -> Iterator[Item]:
         for argument in behaviour.arguments:
             if argument.name.text not in passed_names:
                 default = f" = {argument.default.span.text}" if argument.default is not None else ""
-                yield _argument(argument.name.text, argument.type.span.text + default)
+                yield _argument_item(argument.name.text, argument.type.span.text + default)
         return
     for row in BUILTINS.get(called, ()):
         for arg in row.args:
             if arg.name not in passed_names:
-                yield _argument(arg.name, arg.type + (f" = {arg.default}" if arg.default is not None else ""))
+                yield _argument_item(arg.name, arg.type + (f" = {arg.default}" if arg.default is not None else ""))
     for name, detail in _LINE_ARGUMENTS.get(called if called in _LINE_ARGUMENTS else context.line.split(" ")[0], ()):
         if name not in passed_names and context.line.startswith(tuple(_LINE_ARGUMENTS)):
-            yield _argument(name, detail)
+            yield _argument_item(name, detail)
 
 
 # The arguments of statements that have brackets, each with what it is.
@@ -190,7 +190,7 @@ _LINE_ARGUMENTS = {
 }
 
 
-def _argument(name: str, detail: str) -> Item:
+def _argument_item(name: str, detail: str) -> Item:
     return Item(f"{name}:", "argument", detail, "", f"{name}: ")
 
 
@@ -212,12 +212,12 @@ def _known_behaviours(request: Request) -> Iterator[tuple[str, nodes.Behaviour]]
 
 def behaviours(request: Request) -> Iterator[Item]:
     for behaviour in dict(_known_behaviours(request)).values():
-        yield _call(behaviour)
+        yield _call_item(behaviour)
     for alias in request.names.modules:
         yield Item(alias, "file", "another file")
 
 
-def _call(node: nodes.Behaviour) -> Item:
+def _call_item(node: nodes.Behaviour) -> Item:
     """Return the proposal of a behaviour, with a placeholder for each required argument."""
     required = [argument for argument in node.arguments if argument.default is None]
     placeholders = ", ".join(f"${{{number}:{argument.name.text}}}" for number, argument in enumerate(required, 1))
@@ -226,7 +226,7 @@ def _call(node: nodes.Behaviour) -> Item:
     return Item(node.name.text, "function", signature(node), node.help.text if node.help is not None else "", insert, True)
 
 
-def own(request: Request, assignable: bool = False) -> Iterator[Item]:
+def own_names(request: Request, assignable: bool = False) -> Iterator[Item]:
     table = request.names.species.get(request.species or "")
     for name, member in (table.own if table is not None else {}).items():
         if assignable and not isinstance(member, nodes.Declaration):
@@ -241,10 +241,10 @@ def own(request: Request, assignable: bool = False) -> Iterator[Item]:
 
 def values(request: Request) -> Iterator[Item]:
     """Everything that can be a value, or begin one."""
-    for name, (what, _) in _locals(request).items():
+    for name, (what, _) in _local_names(request).items():
         yield Item(name, "variable", what)
-    if request.context.around("top", "behaviour") is None:
-        yield from own(request)
+    if request.context.enclosing_name("top", "behaviour") is None:
+        yield from own_names(request)
         for word in (
             *STATE_WORDS,
             *(request.names.species[request.species].machines if request.species in request.names.species else ()),
@@ -252,7 +252,7 @@ def values(request: Request) -> Iterator[Item]:
             if word != "main":
                 yield Item(word, "variable", "of its states")
     yield from behaviours(request)
-    yield from things()(request)
+    yield from make_thing_rule()(request)
     yield from fields(request)
     yield from species(request)
     for name, row in BUILTIN_ATTRIBUTES.items():
@@ -282,6 +282,6 @@ def values(request: Request) -> Iterator[Item]:
         "self",
     ):
         yield Item(word, "keyword")
-    if request.context.around("top", "spec") is not None:
+    if request.context.enclosing_name("top", "spec") is not None:
         for word in ("total", "share", "at_start", "motion"):
             yield Item(word, "keyword", "of the whole crowd")

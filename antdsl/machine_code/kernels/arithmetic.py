@@ -40,11 +40,11 @@ class Arithmetic(Vectors[Number]):
         """Return whether this code certainly runs for at least one iteration."""
         return self.mask is None or self.mask.known is not None or self.mask is self.reached
 
-    def counts(self) -> Number | None:
+    def active_mask(self) -> Number | None:
         """Return the condition that this code runs for at least one iteration; None where it certainly does."""
         return None if self.mask is None or self.is_reached else self.any_lane(self.mask)
 
-    def named(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
+    def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Number:
         return Number(kind, name, known, lanes)
 
     def convert(self, value: Number, kind: str) -> Number:
@@ -53,7 +53,7 @@ class Arithmetic(Vectors[Number]):
             return value
         if value.known is not None and not value.wide and kind in (DOUBLE, INT, UNSIGNED) and value.kind != DOUBLE:
             literal = constant(float(value.known) if kind == DOUBLE else int(value.known))
-            return Number(kind, literal.name, literal.known if kind == DOUBLE else in_range(int(value.known), kind))
+            return Number(kind, literal.name, literal.known if kind == DOUBLE else wrap_integer(int(value.known), kind))
         source, target = value.base, LLVM[kind]
         if kind == TRUTH:
             zero = Number(value.kind, "zeroinitializer" if value.wide else "0" if source == "i64" else "0.0", lanes=value.lanes)
@@ -61,7 +61,7 @@ class Arithmetic(Vectors[Number]):
         if value.kind == TRUTH:
             return self.op("zext" if target == "i64" else "uitofp", kind, value)
         if source == target:
-            known = None if value.known is None else in_range(int(value.known), kind)
+            known = None if value.known is None else wrap_integer(int(value.known), kind)
             return Number(kind, value.name, known, value.lanes)
         if source == "i64":
             return self.op("uitofp" if value.kind == UNSIGNED else "sitofp", kind, value)
@@ -73,10 +73,10 @@ class Arithmetic(Vectors[Number]):
         """Both wide if one is."""
         return (self.widened(a), self.widened(b)) if a.wide or b.wide else (a, b)
 
-    def floating(self, value: Number) -> Number:
+    def to_float(self, value: Number) -> Number:
         return value if value.kind in (DOUBLE, FLOAT) else self.convert(value, DOUBLE)
 
-    def paired(self, a: Number, b: Number) -> tuple[Number, Number]:
+    def match_kinds(self, a: Number, b: Number) -> tuple[Number, Number]:
         """Convert two numbers to one kind by NumPy's rules: a literal takes the type of the other one. Raises NotInSubset for a
         float32 with another type, or for a literal that float32 cannot represent."""
         if FLOAT in (a.kind, b.kind) and TRUTH not in (a.kind, b.kind):
@@ -119,27 +119,27 @@ class Arithmetic(Vectors[Number]):
         word = type(operator)
         folded = not (a.wide or b.wide)
         if folded and a.known is not None and b.known is not None and word in _FOLDED and DOUBLE not in (a.kind, b.kind):
-            return self._folded(node, word, a, b)
+            return self._fold(node, word, a, b)
         if a.kind == b.kind == TRUTH and word in (ast.BitAnd, ast.BitOr, ast.BitXor):
             return self.op(_WHOLES[word], TRUTH, *self.alike(a, b))
         if word is ast.Div:
-            a, b = self.floating(a), self.floating(b)
-        first = self._first(word, a, b)
-        a, b = self.paired(a, b)
+            a, b = self.to_float(a), self.to_float(b)
+        first = self._first_lane_sum(word, a, b)
+        a, b = self.match_kinds(a, b)
         if a.kind in (DOUBLE, FLOAT):
             if word not in _FLOATS:
                 self.fail(node, "no such operation of floats")
             return self.op(_FLOATS[word], a.kind, a, b)
         if word in _SHIFTS:
-            return self._shifted(node, word, a, b)
+            return self._shift(node, word, a, b)
         if word in _WHOLES:
             result = self.op(_WHOLES[word], a.kind, a, b)
             return Number(result.kind, result.name, None, result.lanes, first)
         if word not in (ast.FloorDiv, ast.Mod):
             self.fail(node, "no such operation of whole numbers")
-        return self._divided(node, word is ast.Mod, a, b)
+        return self._divide(node, word is ast.Mod, a, b)
 
-    def _folded(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
+    def _fold(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
         """Compute an operation on two integer literals with an integer result."""
         kind = UNSIGNED if UNSIGNED in (a.kind, b.kind) else INT
         try:
@@ -148,9 +148,9 @@ class Arithmetic(Vectors[Number]):
             self.fail(node, f"{problem}")
         if kind == INT and value not in _INT_RANGE:
             self.fail(node, f"{value} is no whole number of 64 bits: write `np.uint64(…)` of an operand for one without a sign")
-        return Number(kind, constant(in_range(value, kind)).name, in_range(value, kind))
+        return Number(kind, constant(wrap_integer(value, kind)).name, wrap_integer(value, kind))
 
-    def _shifted(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
+    def _shift(self, node: ast.AST, word: type[ast.operator], a: Number, b: Number) -> Number:
         """Counts of shifts are taken modulo 64."""
         if b.known is None:
             b = self.op("and", b.kind, b, self.alike(constant(63), b)[0])
@@ -158,22 +158,22 @@ class Arithmetic(Vectors[Number]):
             self.fail(node, "numbers are shifted by 0 to 63 bits")
         return self.op("shl" if word is ast.LShift else "lshr" if a.kind == UNSIGNED else "ashr", a.kind, a, b)
 
-    def _divided(self, node: ast.AST, is_rest: bool, a: Number, b: Number) -> Number:
+    def _divide(self, node: ast.AST, is_rest: bool, a: Number, b: Number) -> Number:
         """The quotient of integers, rounded down, or the remainder. The checked build reports division by 0; other builds
         divide by 1 instead. They also do so for the least integer by -1, which wraps around."""
         if b.known == 0:
             self.fail(node, "division by 0")
         if b.known is None:
-            counts = None if b.wide else self.counts()
+            counts = None if b.wide else self.active_mask()
             checked = b if counts is None else self.select(counts, b, self.convert(constant(1), b.kind))
             self.do("divisor", checked, *([self.mask] if b.wide and self.mask is not None else []), node=node)
             without = self.compare("eq", b, constant(0))
             if a.kind == INT and (a.known is None or a.known == _INT_RANGE[0]):
-                both = self.both(self.compare("eq", b, constant(-1)), self.compare("eq", a, constant(_INT_RANGE[0])))
+                both = self.logical_and(self.compare("eq", b, constant(-1)), self.compare("eq", a, constant(_INT_RANGE[0])))
                 without = self.op("or", TRUTH, *self.alike(without, both))
             b = self.select(without, self.convert(constant(1), b.kind), b)
         elif b.known == -1:
-            return self.negated(a) if not is_rest else self.op("sub", a.kind, a, a)
+            return self.negate(a) if not is_rest else self.op("sub", a.kind, a, a)
         if a.kind == UNSIGNED:
             return self.op("urem" if is_rest else "udiv", a.kind, a, b)
         rest = self.op("srem", INT, a, b)
@@ -183,14 +183,14 @@ class Arithmetic(Vectors[Number]):
             return self.op("add", INT, rest, self.select(down, b, constant(0)))
         return self.op("sub", INT, self.op("sdiv", INT, a, b), self.convert(down, INT))
 
-    def both(self, a: Number, b: Number) -> Number:
+    def logical_and(self, a: Number, b: Number) -> Number:
         """Whether two conditions hold."""
         for one, other in ((a, b), (b, a)):
             if one.known is not None:
                 return other if one.known else constant(False)
         return self.op("and", TRUTH, *self.alike(a, b))
 
-    def _first(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
+    def _first_lane_sum(self, word: type[ast.operator], a: Number, b: Number) -> Number | None:
         """Return the number of a sum in the first lane, if one operand grows by one per turn and the other is loop-invariant;
         else None."""
         if word not in (ast.Add, ast.Sub) or a.base != "i64" or b.base != "i64" or (b.first and word is ast.Sub):
@@ -198,7 +198,7 @@ class Arithmetic(Vectors[Number]):
         one, other = (a.first, b) if a.first else (a, b.first)
         return None if one is None or other is None or one.wide or other.wide else self.op(_WHOLES[word], INT, one, other)
 
-    def negated(self, a: Number) -> Number:
+    def negate(self, a: Number) -> Number:
         if a.known is not None and not a.wide:
             if a.kind == INT and a.known == _INT_RANGE[0]:
                 self.fail(self.node, f"{-a.known} is no whole number of 64 bits")
@@ -213,7 +213,7 @@ class Arithmetic(Vectors[Number]):
             x, y = a.known, b.known
             held = {"lt": x < y, "le": x <= y, "gt": x > y, "ge": x >= y, "eq": x == y, "ne": x != y}
             return constant(held[word])
-        a, b = self.paired(a, b)
+        a, b = self.match_kinds(a, b)
         if a.kind in (DOUBLE, FLOAT):
             return self.op(f"f{word}", TRUTH, a, b)
         sign = "" if word in ("eq", "ne") else "u" if a.kind == UNSIGNED else "s"
@@ -222,13 +222,13 @@ class Arithmetic(Vectors[Number]):
     def select(self, condition: Number, then: Number, other: Number) -> Number:
         if condition.known is not None:
             return then if condition.known else other
-        then, other = self.paired(then, other) if then.kind != other.kind else self.alike(then, other)
+        then, other = self.match_kinds(then, other) if then.kind != other.kind else self.alike(then, other)
         if condition.wide:
             then, other = self.widened(then), self.widened(other)
         return self.op("select", then.kind, condition, then, other, lanes=then.lanes)
 
 
-def in_range(number: int, kind: str) -> int:
+def wrap_integer(number: int, kind: str) -> int:
     """Wrap an integer to 64 bits, signed or unsigned."""
     number &= (1 << 64) - 1
     return number if kind == UNSIGNED or number < 1 << 63 else number - (1 << 64)

@@ -45,16 +45,16 @@ class KernelDescription:
 def caller(name: str, code: machine.Code, types: Sequence[Any], description: KernelDescription) -> Callable[..., Any]:
     """Return a function of a kernel's arguments. `types` are those of its annotations."""
     specs = list(_argument_specs(types, description.stored))
-    words = RESULTS + sum(_words(each) for each in specs)
+    words = RESULTS + sum(_word_count(each) for each in specs)
     result_kinds, several = list(description.gives), description.several
     plain_call = _plain(name, code.function(name), types, specs, words, result_kinds, several)
     if several and len(result_kinds) == 1:
         return plain_call
     kinds = [TRUTH if each == "i1" else _KINDS[each] for each in result_kinds]
-    return direct.direct(name, code, specs, words, kinds, plain_call) or plain_call
+    return direct.make_builtin(name, code, specs, words, kinds, plain_call) or plain_call
 
 
-def parted(
+def parallel_caller(
     name: str, code: machine.Code, types: Sequence[Any], description: KernelDescription, single_call: Callable[..., Any]
 ) -> Callable[..., Any] | None:
     """Return a function that runs a kernel in parts, or None where there is none. The last two arguments of the kernel are where
@@ -62,7 +62,7 @@ def parted(
     of the kernel's results for each part, which the pool's workers compute. Arguments that it cannot read go to `single_call`, in
     one part."""
     specs = list(_argument_specs(types, description.stored))
-    words = RESULTS + sum(_words(each) for each in specs)
+    words = RESULTS + sum(_word_count(each) for each in specs)
     if any(not isinstance(each, Scalar) or each.kind != INT for each in types[-2:]) or (
         description.several and len(description.gives) == 1
     ):
@@ -74,7 +74,7 @@ def parted(
         return [single_call(*arguments[:-2])]
 
     run = workers_text.code().place("run")
-    function: Callable[..., Any] | None = direct.direct(name, code, [*specs, *range_specs], words, kinds, alone, run)
+    function: Callable[..., Any] | None = direct.make_builtin(name, code, [*specs, *range_specs], words, kinds, alone, run)
     return function
 
 
@@ -95,13 +95,13 @@ def _argument_specs(types: Sequence[Any], stored: Sequence[int]) -> Iterator[Arg
                 yield ArgumentSpec(at, count=len(type))
                 yield from each_of(type, at)
                 continue
-            place += _words(spec)
+            place += _word_count(spec)
             yield spec
 
     return each_of(types, ())
 
 
-def _words(spec: ArgumentSpec) -> int:
+def _word_count(spec: ArgumentSpec) -> int:
     if spec.count is not None:
         return 0
     return 1 if spec.dtype is None else 1 + spec.axes * (2 if spec.strided else 1)
@@ -121,7 +121,7 @@ def _plain(
         integers, unsigned, real = table.cast("q"), table.cast("Q"), table.cast("d")
         for each, value in zip(word_specs, list(flat(name, types, arguments)), strict=True):
             if each.dtype is not None:
-                for place, word in enumerate(_described(name, each, value), each.place):
+                for place, word in enumerate(_describe_array(name, each, value), each.place):
                     integers[place] = word
             elif each.kind == REAL:
                 real[each.place] = value
@@ -152,7 +152,7 @@ def flat(name: str, types: Sequence[Any], arguments: Sequence[Any]) -> Iterator[
             yield from flat(name, type, argument)
 
 
-def _described(name: str, spec: ArgumentSpec, array: Any) -> tuple[int, ...]:
+def _describe_array(name: str, spec: ArgumentSpec, array: Any) -> tuple[int, ...]:
     """Return the words that describe an array. Raises ValueError for another type or memory layout."""
     dtype, shape = spec.dtype, array.shape
     assert dtype is not None

@@ -52,7 +52,7 @@ class KernelFault(RuntimeError):
     """A kernel indexes outside an array or divides by 0; the message has the file and the line."""
 
 
-def described(file: str, line: int, op: str) -> str:
+def check_message(file: str, line: int, op: str) -> str:
     """The message of a check that fails."""
     return f"{file}, line {line}: {CHECKS[op]}"
 
@@ -66,7 +66,7 @@ class Checks:
 
     def lines(self, function: Function, each: Instruction) -> list[str]:
         """A check, and the return where it fails."""
-        self._messages.append(described(function.file, each.line, each.op))
+        self._messages.append(check_message(function.file, each.line, each.op))
         self._numbers += 1
         lines, fine = [], f"%c{self._numbers}"
         first, *others = each.operands
@@ -84,7 +84,7 @@ class Checks:
                 lines.append(f"  {fine}.of{k} = mul i64 {length}, {other.name}")
                 length = f"{fine}.of{k}"
             lines.append(f"  {fine} = call i1 @check.index({first.typed}, i64 {length}, i64 {each.extra})")
-        return [*lines, *self._left(function, fine, f"  store i64 {len(self._messages)}, ptr @{_WORD}")]
+        return [*lines, *self._return_lines(function, fine, f"  store i64 {len(self._messages)}, ptr @{_WORD}")]
 
     def after_call(self, function: Function) -> list[str]:
         """Return where the called function has failed."""
@@ -92,10 +92,10 @@ class Checks:
         fine = f"%c{self._numbers}"
         return [
             f"  {fine}.word = load i64, ptr @{_WORD}", f"  {fine} = icmp eq i64 {fine}.word, 0",
-            *self._left(function, fine),
+            *self._return_lines(function, fine),
         ]  # fmt: skip
 
-    def _left(self, function: Function, fine: str, *lines: str) -> list[str]:
+    def _return_lines(self, function: Function, fine: str, *lines: str) -> list[str]:
         label = fine[1:]
         passed = "ret void" if function.result == "void" else f"ret {function.result} zeroinitializer"
         branch = f"  br i1 {fine}, label %{label}.fine, label %{label}.fault"
@@ -112,9 +112,9 @@ def _mask(operands: list[Any]) -> str:
     return operands[0].typed if operands else f"{_MASK} splat (i1 true)"
 
 
-def guarded(run: Callable[..., Any], code: Code) -> Callable[..., Any]:
+def guard_call(run: Callable[..., Any], code: Code) -> Callable[..., Any]:
     """Return a call of a checked kernel that raises KernelFault."""
-    word = ctypes.c_int64.from_address(code.constant(_WORD))
+    word = ctypes.c_int64.from_address(code.constant_address(_WORD))
 
     @wraps(run, assigned=())
     def call(*arguments: Any) -> Any:

@@ -53,7 +53,7 @@ class ArgumentSpec:
     count: int | None = None
 
 
-def direct(
+def make_builtin(
     name: str,
     code: machine.Code,
     specs: Sequence[ArgumentSpec],
@@ -74,7 +74,7 @@ def direct(
         return None
     count = sum(len(each.path) == 1 for each in specs)
     head = [code.place(name), count, id(otherwise), len(specs), len(gives), ctypes.addressof(_addresses()), run, words, *gives]
-    descriptor = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER, b"\0") + b"".join(map(_step, specs))
+    descriptor = struct.pack(f"={len(head)}q", *head).ljust(8 * reading.HEADER, b"\0") + b"".join(map(_pack_step, specs))
     method = _Method(name.encode(), _code().place("direct"), _FASTCALL, None)
     make = ctypes.pythonapi.PyCFunction_NewEx
     make.argtypes, make.restype = (ctypes.c_void_p, ctypes.py_object, ctypes.py_object), ctypes.py_object
@@ -83,7 +83,7 @@ def direct(
     )  # which live as long as it does
 
 
-def _step(each: ArgumentSpec) -> bytes:
+def _pack_step(each: ArgumentSpec) -> bytes:
     depth, index = len(each.path) - 1, each.path[-1]
     if each.count is not None:
         return struct.pack(f"={reading.STEP}q", reading.TUPLE, depth, index, 0, each.count, 0, 0, 0)
@@ -104,7 +104,7 @@ def possible() -> bool:
     """Return whether objects have the memory layout that `text` reads: 64-bit CPython with a global lock."""
     if sys.implementation.name != "cpython" or ctypes.sizeof(ctypes.c_void_p) != 8 or hasattr(sys, "getobjects"):
         return False
-    if sysconfig.get_config_var("Py_GIL_DISABLED") or bytes.__basicsize__ != reading.bytes_at() + 1:
+    if sysconfig.get_config_var("Py_GIL_DISABLED") or bytes.__basicsize__ != reading.bytes_offset() + 1:
         return False
     if not all(hasattr(ctypes.pythonapi, name) for name in (*reading.CALLS, "PyCFunction_NewEx")):
         return False

@@ -33,7 +33,7 @@ CALLS = (
 )  # fmt: skip
 
 
-def bytes_at() -> int:
+def bytes_offset() -> int:
     return object.__basicsize__ + 16  # their number, and a hash
 
 
@@ -42,8 +42,15 @@ def text(_: machine.Target) -> str:
     """Return `PyObject *direct(PyObject *told, PyObject *const *given, Py_ssize_t count)` in LLVM's language."""
     head = object.__basicsize__
     names = (*(f"call.{name}" for name in CALLS), *OBJECTS)
-    code_text = "\n".join([_TEXT, *(_reader(name, number) for number, name in enumerate(names)), ""])
-    values = {"HEAD": head, "TYPE": head - 8, "TOLD": bytes_at(), "INSIDE": tuple.__basicsize__, "WORDS": WORDS, "DEPTH": DEPTH}
+    code_text = "\n".join([_TEXT, *(_reader_text(name, number) for number, name in enumerate(names)), ""])
+    values = {
+        "HEAD": head,
+        "TYPE": head - 8,
+        "TOLD": bytes_offset(),
+        "INSIDE": tuple.__basicsize__,
+        "WORDS": WORDS,
+        "DEPTH": DEPTH,
+    }
     values |= {"AXES": head + 8, "LENGTHS": head + 16, "STEPS": head + 24, "DTYPE": head + 40, "FLAGS": head + 48}
     values |= {"STEP": 8 * STEP, "FIRST": 8 * HEADER, "ARRAY": ARRAY, "TUPLE": TUPLE}
     values |= {"TYPE.FLAGS": TYPE_FLAGS, "TUPLE.FLAG": TUPLE_FLAG}
@@ -54,7 +61,7 @@ def text(_: machine.Target) -> str:
     return code_text
 
 
-def _reader(name: str, number: int) -> str:
+def _reader_text(name: str, number: int) -> str:
     return (
         f"define internal ptr @{name}(ptr %here) alwaysinline {{\n  %at = getelementptr ptr, ptr %here, i64 {number}\n"
         "  %found = load ptr, ptr %at\n  ret ptr %found\n}"

@@ -25,7 +25,7 @@ class Elements(Arithmetic):
         if index.known is not None and (index.known < 0 or (length.known is not None and index.known + count > length.known)):
             self.fail(node, f"{index.known} is no index of an axis, or a negative one")
         if index.known is None or length.known is None:
-            counts = None if index.wide else self.counts()
+            counts = None if index.wide else self.active_mask()
             if counts is not None:
                 index, length = self.select(counts, index, constant(0)), self.select(counts, length, constant(count))
             self.do("index", index, length, *([self.mask] if index.wide and self.mask is not None else []), x=count, node=node)
@@ -58,16 +58,16 @@ class Elements(Arithmetic):
             total = self.op("mul", INT, total, each)
         return total
 
-    def fetch(self, array: Array, at: Number) -> Number:
+    def load_element(self, array: Array, at: Number) -> Number:
         """The element so far behind the first one."""
         scalar = array.of
         if not at.wide:
-            element = self.op("load", scalar.loaded, self._counting(array, at))
+            element = self.op("load", scalar.loaded, self._guarded_address(array, at))
         elif at.first:
             self._check_span(array, at.first)
             element = self._load_lanes(array, scalar.loaded, self._place(array, at.first))
         else:
-            element = self._gathered(array, at)
+            element = self._gather(array, at)
         if scalar.kind == TRUTH:
             return self.op("ne", TRUTH, element, Number("i8", "zeroinitializer" if at.wide else "0", lanes=at.lanes))
         if scalar.kind == INT and scalar.stored != "i64":
@@ -76,13 +76,13 @@ class Elements(Arithmetic):
 
     def _load_lanes(self, array: Array, kind: str, place: Number) -> Number:
         """Load consecutive elements, one for each iteration."""
-        return self.op("load", kind, place, x=_aligned(array), lanes=WIDTH)
+        return self.op("load", kind, place, x=_alignment(array), lanes=WIDTH)
 
-    def keep(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
+    def store_element(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
         """Store an element so far behind the first one."""
         if (self.mask is not None) != at.wide:
             self.fail(node, "what several turns would change at once belongs to none of them")
-        value = self.stored(array.of, self.widened(item) if at.wide else item)
+        value = self.to_stored_kind(array.of, self.widened(item) if at.wide else item)
         if not at.wide:
             self.do("store", value, self._place(array, at))
             return
@@ -92,7 +92,7 @@ class Elements(Arithmetic):
             place = self._place(array, at.first)
             if mask.known is None:
                 value = self.op("select", value.kind, mask, value, self._load_lanes(array, value.kind, place))
-            self.do("store", value, place, x=_aligned(array))
+            self.do("store", value, place, x=_alignment(array))
             return
         for lane in range(WIDTH):
             stored, next_block = "", ""
@@ -106,7 +106,7 @@ class Elements(Arithmetic):
                 self.jump(next_block)
                 self.begin(next_block)
 
-    def stored(self, scalar: Scalar, item: Number) -> Number:
+    def to_stored_kind(self, scalar: Scalar, item: Number) -> Number:
         """A number as an array of this type holds it."""
         value = self.convert(item, scalar.kind)
         if value.kind == TRUTH:
@@ -125,14 +125,14 @@ class Elements(Arithmetic):
         return Array(of.of, address, of.lengths[1:], None if of.steps is None else of.steps[1:], of.origin)
 
     def _place(self, array: Array, at: Number) -> Number:
-        return self._behind(array, array.address, at)
+        return self._element_address(array, array.address, at)
 
-    def _behind(self, array: Array, address: Number, at: Number | int) -> Number:
+    def _element_address(self, array: Array, address: Number, at: Number | int) -> Number:
         """Return the address of the element `at` elements after another one."""
         index = Number(INT, str(at)) if isinstance(at, int) else at
         return self.op("element", "ptr", address, index, x=array.of.stored, lanes=index.lanes)
 
-    def _counting(self, array: Array, at: Number) -> Number:
+    def _guarded_address(self, array: Array, at: Number) -> Number:
         """Return the address of an element at a loop-invariant index. Where no turn counts, the index may be out of range: then
         that of zeros. The comparison is with the array's length, and not the mask, so that LLVM can move the load out of
         loops."""
@@ -142,7 +142,7 @@ class Elements(Arithmetic):
         if array.steps is not None:
             counts = self.any_lane(self.mask)
         else:
-            counts = self.both(self.compare("ge", at, constant(0)), self.compare("lt", at, self.count(array)))
+            counts = self.logical_and(self.compare("ge", at, constant(0)), self.compare("lt", at, self.count(array)))
         return place if counts.known is not None else self.op("select", "ptr", counts, place, ZEROS)
 
     def _addresses(self, array: Array, at: Number) -> Number:
@@ -152,45 +152,45 @@ class Elements(Arithmetic):
             return addresses
         return self.op("select", "ptr", self.mask, addresses, self.widened(ZEROS))
 
-    def consecutive(self, node: ast.AST, array: Array, at: Number, count: int) -> tuple[Number, ...]:
+    def load_consecutive(self, node: ast.AST, array: Array, at: Number, count: int) -> tuple[Number, ...]:
         """Return `count` consecutive elements of an array of numbers, as computed with. `count` is a multiple of four."""
         self.check_index(node, at, array.lengths[0], count)
         if not at.wide:
             offsets = [self.arithmetic(node, ast.Add(), at, constant(k)) for k in range(count)]
-            return tuple(self.fetch(array, each) for each in offsets)
+            return tuple(self.load_element(array, each) for each in offsets)
         addresses = self._addresses(array, at)
         lanes = [self.one(addresses, lane) for lane in range(WIDTH)]
-        return tuple(each for k in range(0, count, 4) for each in self._four(array, lanes, k))
+        return tuple(each for k in range(0, count, 4) for each in self._load_four(array, lanes, k))
 
-    def _four(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
+    def _load_four(self, array: Array, lanes: list[Number], offset: int) -> list[Number]:
         """Return four columns of eight lanes: the elements at `offset` to `offset + 3` after each of eight addresses."""
         rows = []
         for lane in lanes:
-            place = self._behind(array, lane, offset)
-            rows.append(self.op("load", array.of.kind, place, x=_aligned(array), lanes=4))
+            place = self._element_address(array, lane, offset)
+            rows.append(self.op("load", array.of.kind, place, x=_alignment(array), lanes=4))
         return self.columns(rows)
 
     def three(self, node: ast.AST, array: Array, row: Number) -> tuple[Number, ...]:
         """The three elements of a row."""
         if not row.first:
-            return tuple(self.fetch(array, each) for each in self._offsets(node, array, row))
+            return tuple(self.load_element(array, each) for each in self._row_offsets(node, array, row))
         self.check_index(node, row, array.lengths[0])
-        return self._three_lanes(array, row.first)
+        return self._load_three_lanes(array, row.first)
 
-    def _three_lanes(self, array: Array, first: Number) -> tuple[Number, ...]:
+    def _load_three_lanes(self, array: Array, first: Number) -> tuple[Number, ...]:
         """The three elements of each of the rows from one on."""
-        place, parts = self._rows(array, first), []
+        place, parts = self._rows_address(array, first), []
         for k in range(3):
-            parts.append(self._load_lanes(array, array.of.kind, self._behind(array, place, WIDTH * k)))
+            parts.append(self._load_lanes(array, array.of.kind, self._element_address(array, place, WIDTH * k)))
         columns = []
         for column in range(3):
             positions = range(column, 3 * WIDTH, 3)
-            low = self.mixed(parts[0], parts[1], tuple(k if k < 2 * WIDTH else 0 for k in positions))
+            low = self.shuffle(parts[0], parts[1], tuple(k if k < 2 * WIDTH else 0 for k in positions))
             order = tuple(k - WIDTH if k >= 2 * WIDTH else lane for lane, k in enumerate(positions))
-            columns.append(self.mixed(low, parts[2], order))
+            columns.append(self.shuffle(low, parts[2], order))
         return tuple(columns)
 
-    def _rows(self, array: Array, first: Number) -> Number:
+    def _rows_address(self, array: Array, first: Number) -> Number:
         """Return the address of consecutive rows of three elements from `first` on."""
         start = self.op("mul", INT, first, Number(INT, "3"))
         self._check_span(array, start, 3 * WIDTH)
@@ -199,23 +199,23 @@ class Elements(Arithmetic):
     def put_three(self, node: ast.AST, array: Array, row: Number, items: tuple[Number, ...]) -> None:
         """Store the three elements of a row."""
         if not row.first:
-            for at, item in zip(self._offsets(node, array, row), items, strict=True):
-                self.keep(node, array, at, item)
+            for at, item in zip(self._row_offsets(node, array, row), items, strict=True):
+                self.store_element(node, array, at, item)
             return
         self.check_index(node, row, array.lengths[0])
         kind, mask = array.of.kind, self.mask or ALL
         values = [self.widened(self.convert(each, kind)) for each in items]
         if mask.known is None:
-            values = [self.select(mask, *each) for each in zip(values, self._three_lanes(array, row.first), strict=True)]
-        place = self._rows(array, row.first)
+            values = [self.select(mask, *each) for each in zip(values, self._load_three_lanes(array, row.first), strict=True)]
+        place = self._rows_address(array, row.first)
         for part in range(3):
             positions = [divmod(k, 3) for k in range(WIDTH * part, WIDTH * (part + 1))]
-            two = self.mixed(values[0], values[1], tuple(lane + WIDTH * (c == 1) for lane, c in positions))
+            two = self.shuffle(values[0], values[1], tuple(lane + WIDTH * (c == 1) for lane, c in positions))
             order = tuple(WIDTH + lane if c == 2 else k for k, (lane, c) in enumerate(positions))
-            address = self._behind(array, place, WIDTH * part)
-            self.do("store", self.mixed(two, values[2], order), address, x=_aligned(array))
+            address = self._element_address(array, place, WIDTH * part)
+            self.do("store", self.shuffle(two, values[2], order), address, x=_alignment(array))
 
-    def _offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
+    def _row_offsets(self, node: ast.AST, array: Array, row: Number) -> list[Number]:
         """Return the offsets of a row's elements from the first element of an array."""
         return [self.offset(node, array, [row, constant(k)]) for k in range(3)]
 
@@ -225,11 +225,11 @@ class Elements(Arithmetic):
             self.do("prefetch", self._place(array, self.one(at, lane) if at.wide else at))
         return ()
 
-    def _gathered(self, array: Array, at: Number) -> Number:
+    def _gather(self, array: Array, at: Number) -> Number:
         addresses = self._addresses(array, at)
-        return self.together(self.op("load", array.of.loaded, self.one(addresses, lane)) for lane in range(WIDTH))
+        return self.combine_lanes(self.op("load", array.of.loaded, self.one(addresses, lane)) for lane in range(WIDTH))
 
 
-def _aligned(array: Array) -> str:
+def _alignment(array: Array) -> str:
     """Return the alignment for several elements of an array: the size of one element, not their total size."""
     return f", align {array.of.dtype.itemsize}"

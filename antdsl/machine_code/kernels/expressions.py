@@ -11,9 +11,9 @@ from types import ModuleType
 from typing import Any, NoReturn
 
 from antdsl.machine_code.kernels.elements import Elements
-from antdsl.machine_code.kernels.functions import WRITTEN, consecutive, fetch_ahead, put_three, scratch, three
+from antdsl.machine_code.kernels.functions import WRITTEN, fetch_ahead, load_consecutive, put_three, scratch, three
 from antdsl.machine_code.kernels.ir import MOST
-from antdsl.machine_code.kernels.records import field_types, is_record, rebuilt
+from antdsl.machine_code.kernels.records import field_types, is_record, rebuild_like
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit
 from antdsl.machine_code.kernels.values import Array, Item, Number, constant, leaves
@@ -27,7 +27,7 @@ class Expressions(Elements):
     world: dict[str, Any]
     unit: Unit
 
-    def unread(self, name: str) -> Any:
+    def lookup_name(self, name: str) -> Any:
         """Return the item of a name, in which variables are not loaded yet."""
         raise NotImplementedError
 
@@ -35,7 +35,7 @@ class Expressions(Elements):
         """Return such an item with the values of its variables loaded."""
         raise NotImplementedError
 
-    def called(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
+    def call_function(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
         raise NotImplementedError
 
     def number(self, node: ast.expr) -> Number:
@@ -53,30 +53,30 @@ class Expressions(Elements):
             case ast.Constant(value=bool() | int() | float() as known):
                 return constant(known)
             case ast.Name(id=name):
-                return self.loaded(self.unread(name))
+                return self.loaded(self.lookup_name(name))
             case ast.Tuple(elts=parts):
-                return tuple(item for each in parts for item in self._items(each))
+                return tuple(item for each in parts for item in self._tuple_items(each))
             case ast.BinOp(left=left, op=operator, right=right):
                 return self.arithmetic(node, operator, self.number(left), self.number(right))
             case ast.UnaryOp(op=operator, operand=operand):
                 return self._unary(node, operator, operand)
             case ast.Compare(left=left, ops=operators, comparators=others):
-                return self._compared([left, *others], operators)
+                return self._comparison([left, *others], operators)
             case ast.BoolOp(op=operator, values=parts):
-                return self._both(isinstance(operator, ast.And), parts)
+                return self._boolean(isinstance(operator, ast.And), parts)
             case ast.IfExp(test=test, body=then, orelse=other):
-                return self._chosen(node, test, then, other)
+                return self._conditional(node, test, then, other)
             case ast.Subscript(value=of, slice=index):
-                return self.loaded(self._indexed(node, self._unread(of), index))
+                return self.loaded(self._index_item(node, self._unloaded_value(of), index))
             case ast.Attribute(value=of, attr=attribute):
                 return self.loaded(self._attribute(node, of, attribute))
             case ast.Call(func=ast.Attribute(value=of, attr="_replace")):
-                return self._replaced(node, self.value(of))
+                return self._replace_fields(node, self.value(of))
             case ast.Call(func=function, args=arguments):
-                return self._called(node, function, arguments)
+                return self._call(node, function, arguments)
         self.fail(node, f"`{ast.unparse(node)}` is not in the subset")
 
-    def _items(self, node: ast.expr) -> Any:
+    def _tuple_items(self, node: ast.expr) -> Any:
         """What an expression adds to a tuple."""
         if not isinstance(node, ast.Starred):
             return (self.value(node),)
@@ -85,12 +85,12 @@ class Expressions(Elements):
             self.fail(node, "only tuples and records are spread by `*`")
         return spread
 
-    def _unread(self, node: ast.expr) -> Any:
+    def _unloaded_value(self, node: ast.expr) -> Any:
         """Return the value of an expression. A part of a variable is returned as its address, so that other parts are not
         loaded."""
         match node:
             case ast.Name(id=name):
-                return self.unread(name)
+                return self.lookup_name(name)
             case ast.Attribute(value=of, attr=attribute):
                 return self._attribute(node, of, attribute)
         return self.value(node)
@@ -98,49 +98,49 @@ class Expressions(Elements):
     def _unary(self, node: ast.expr, operator: ast.unaryop, operand: ast.expr) -> Number:
         if isinstance(operator, ast.Not):
             value = self.truth(operand)
-            return constant(not value.known) if value.known is not None else self.inverted(value)
+            return constant(not value.known) if value.known is not None else self.invert(value)
         value = self.number(operand)
         if isinstance(operator, ast.USub):
-            return self.negated(value)
+            return self.negate(value)
         if isinstance(operator, ast.Invert):
-            return self.inverted(self.convert(value, INT) if value.known is not None else value)
+            return self.invert(self.convert(value, INT) if value.known is not None else value)
         self.fail(node, "no such operator")
 
-    def _compared(self, parts: list[ast.expr], operators: list[ast.cmpop]) -> Number:
+    def _comparison(self, parts: list[ast.expr], operators: list[ast.cmpop]) -> Number:
         values = [self.number(part) for part in parts]
         conjunction = None
         for (a, b), operator in zip(pairwise(values), operators, strict=True):
             if type(operator) not in _COMPARED:
                 self.fail(parts[0], "no such comparison")
             held = self.compare(_COMPARED[type(operator)], a, b)
-            conjunction = held if conjunction is None else self.both(conjunction, held)
+            conjunction = held if conjunction is None else self.logical_and(conjunction, held)
         assert conjunction is not None
         return conjunction
 
-    def _both(self, every: bool, parts: list[ast.expr]) -> Number:
+    def _boolean(self, every: bool, parts: list[ast.expr]) -> Number:
         """Evaluate later parts only where they count, as in Python."""
         first = self.truth(parts[0])
         if len(parts) == 1 or (first.known is not None and bool(first.known) != every):
             return first
         if first.known is not None:
-            return self._both(every, parts[1:])
+            return self._boolean(every, parts[1:])
         if self.mask is not None:
-            return self._both_wide(first, every, parts[1:])
+            return self._boolean_wide(first, every, parts[1:])
         place, rest, end = self.slot(TRUTH), self.label("more"), self.label("both")
         self.put(place, first)
         self.branch(first, *((rest, end) if every else (end, rest)))
         self.begin(rest)
-        self.put(place, self._both(every, parts[1:]))
+        self.put(place, self._boolean(every, parts[1:]))
         self.jump(end)
         self.begin(end)
         return self.load(place, TRUTH)
 
-    def _chosen(self, node: ast.expr, test: ast.expr, then: ast.expr, other: ast.expr) -> Item:
+    def _conditional(self, node: ast.expr, test: ast.expr, then: ast.expr, other: ast.expr) -> Item:
         condition = self.truth(test)
         if condition.known is not None:
             return self.value(then if condition.known else other)
         if condition.wide:
-            return self._chosen_wide(node, condition, then, other)
+            return self._conditional_wide(node, condition, then, other)
         yes, no, end = self.label("yes"), self.label("no"), self.label("chosen")
         self.branch(condition, yes, no)
         self.begin(yes)
@@ -149,13 +149,13 @@ class Expressions(Elements):
         self.begin(no)
         second = self.value(other)
         pairs = list(zip(leaves(first), leaves(second), strict=True))
-        kinds = [a.kind if a.kind == b.kind else self._common(a, b) for a, b in pairs]
+        kinds = [a.kind if a.kind == b.kind else self._common_kind(a, b) for a, b in pairs]
         lanes = [max(a.lanes, b.lanes) for a, b in pairs]
         slots = [self.slot(kind, each) for kind, each in zip(kinds, lanes, strict=True)]
-        self._stored(second, kinds, lanes, slots)
+        self._store_leaves(second, kinds, lanes, slots)
         self.jump(end)
         self.block_now = after_first
-        self._stored(first, kinds, lanes, slots)
+        self._store_leaves(first, kinds, lanes, slots)
         self.jump(end)
         self.begin(end)
         loaded = iter([self.load(place, kind, each) for kind, place, each in zip(kinds, slots, lanes, strict=True)])
@@ -163,22 +163,22 @@ class Expressions(Elements):
         def again(item: Item) -> Item:
             if isinstance(item, Array):
                 self.fail(node, "arrays cannot be chosen between")
-            return rebuilt(item, map(again, item)) if isinstance(item, tuple) else next(loaded)
+            return rebuild_like(item, map(again, item)) if isinstance(item, tuple) else next(loaded)
 
         return again(first)
 
-    def _common(self, a: Number, b: Number) -> str:
+    def _common_kind(self, a: Number, b: Number) -> str:
         kinds = {a.kind, b.kind}
         if FLOAT in kinds or UNSIGNED in kinds:
-            return self.paired(a, b)[0].kind
+            return self.match_kinds(a, b)[0].kind
         return DOUBLE if DOUBLE in kinds else INT
 
-    def _stored(self, item: Item, kinds: list[str], lanes: list[int], slots: list[Number]) -> None:
+    def _store_leaves(self, item: Item, kinds: list[str], lanes: list[int], slots: list[Number]) -> None:
         for number, kind, each, place in zip(leaves(item), kinds, lanes, slots, strict=True):
             value = self.convert(number, kind)
             self.put(place, self.widened(value) if each > 1 else value)
 
-    def inverted(self, value: Number) -> Number:
+    def invert(self, value: Number) -> Number:
         """Return the negation of a condition, or the bitwise complement of a number."""
         ones = Number(value.kind, "true" if value.kind == TRUTH else "-1")
         return self.op("xor", value.kind, value, self.widened(ones) if value.wide else ones)
@@ -188,30 +188,30 @@ class Expressions(Elements):
         """Restrict the code that is written in the context to lanes for which a condition holds."""
         outer_mask = self.mask
         assert outer_mask is not None
-        self.mask = self.both(outer_mask, condition)
+        self.mask = self.logical_and(outer_mask, condition)
         yield
         self.mask = outer_mask
 
-    def _both_wide(self, first: Number, every: bool, parts: list[ast.expr]) -> Number:
+    def _boolean_wide(self, first: Number, every: bool, parts: list[ast.expr]) -> Number:
         first = self.widened(first)
-        with self.where(first if every else self.inverted(first)):
-            rest = self._both(every, parts)
+        with self.where(first if every else self.invert(first)):
+            rest = self._boolean(every, parts)
         if every:
-            return self.both(first, rest)
+            return self.logical_and(first, rest)
         return self.op("or", TRUTH, *self.alike(first, rest))
 
-    def _chosen_wide(self, node: ast.expr, condition: Number, then: ast.expr, other: ast.expr) -> Item:
+    def _conditional_wide(self, node: ast.expr, condition: Number, then: ast.expr, other: ast.expr) -> Item:
         with self.where(condition):
             first = self.value(then)
-        with self.where(self.inverted(condition)):
+        with self.where(self.invert(condition)):
             second = self.value(other)
 
         def chosen(a: Item, b: Item) -> Item:
             if isinstance(a, tuple):
-                return rebuilt(a, (chosen(x, y) for x, y in zip(a, b, strict=True)))
+                return rebuild_like(a, (chosen(x, y) for x, y in zip(a, b, strict=True)))
             if isinstance(a, Array):
                 self.fail(node, "arrays cannot be chosen between")
-            kind = a.kind if a.kind == b.kind else self._common(a, b)
+            kind = a.kind if a.kind == b.kind else self._common_kind(a, b)
             return self.select(condition, self.convert(a, kind), self.convert(b, kind))
 
         return chosen(first, second)
@@ -219,7 +219,7 @@ class Expressions(Elements):
     def _attribute(self, node: ast.expr, of: ast.expr, attribute: str) -> Item:
         if isinstance(of, ast.Name) and isinstance(self.world.get(of.id), ModuleType):
             return constant(getattr(self.world[of.id], attribute))
-        value = self._unread(of)
+        value = self._unloaded_value(of)
         if attribute in getattr(value, "_fields", ()):
             return getattr(value, attribute)
         if isinstance(value, Array) and attribute == "shape":
@@ -227,7 +227,7 @@ class Expressions(Elements):
         if isinstance(value, Array) and attribute == "size":
             return self.count(value)
         if hasattr(value, "_fields"):
-            self._no_field(node, type(value), attribute)
+            self._fail_no_field(node, type(value), attribute)
         self.fail(node, f"no `{attribute}`")
 
     def at(self, node: ast.AST, array: Array, index: ast.expr) -> Number:
@@ -237,9 +237,9 @@ class Expressions(Elements):
             self.fail(node, "an index for each axis is wanted")
         return self.offset(node, array, [self.number(part) for part in parts])
 
-    def _indexed(self, node: ast.expr, of: Item, index: ast.expr) -> Item:
+    def _index_item(self, node: ast.expr, of: Item, index: ast.expr) -> Item:
         if isinstance(of, tuple) and isinstance(index, ast.Slice):
-            return of[slice(*(self._of_text(node, end) for end in (index.lower, index.upper, index.step)))]
+            return of[slice(*(self._constant_index(node, end) for end in (index.lower, index.upper, index.step)))]
         if isinstance(of, tuple):
             at = self.number(index)
             if at.known is None:
@@ -249,9 +249,9 @@ class Expressions(Elements):
             self.fail(node, "only arrays and tuples have elements")
         if not isinstance(index, ast.Tuple) and len(of.lengths) > 1:
             return self.row(node, of, self.number(index))
-        return self.fetch(of, self.at(node, of, index))
+        return self.load_element(of, self.at(node, of, index))
 
-    def _of_text(self, node: ast.AST, number: ast.expr | None) -> int | None:
+    def _constant_index(self, node: ast.AST, number: ast.expr | None) -> int | None:
         if number is None:
             return None
         known = self.number(number).known
@@ -259,8 +259,8 @@ class Expressions(Elements):
             self.fail(node, "whole numbers of the text are wanted here")
         return known
 
-    def _called(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> Item:
-        known = self.known(node, function)
+    def _call(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> Item:
+        known = self.resolve_name(node, function)
         if is_record(known):
             return self._record(node, known)
         if node.keywords:
@@ -269,13 +269,13 @@ class Expressions(Elements):
             value = self.value(arguments[0])
             return value.lengths[0] if isinstance(value, Array) else constant(len(value))
         if known is scratch:
-            count, dtype = self.number(arguments[0]), self.known(node, arguments[1])
+            count, dtype = self.number(arguments[0]), self.resolve_name(node, arguments[1])
             if count.known is None or not isinstance(dtype, Scalar):
                 self.fail(node, "scratch(COUNT, TYPE) with a count of the text")
             return Array(dtype, self.allocate(int(count.known), dtype.stored), (count,))
         inputs = [self.value(each) for each in arguments]
-        if known in (consecutive, fetch_ahead, three, put_three):
-            return self._elements(node, known, inputs)
+        if known in (load_consecutive, fetch_ahead, three, put_three):
+            return self._load_elements(node, known, inputs)
         try:
             written = WRITTEN.get(known)
         except TypeError:
@@ -284,7 +284,7 @@ class Expressions(Elements):
             if not all(isinstance(each, Number) for each in inputs):
                 self.fail(node, "numbers are wanted here")
             return written(self, *inputs)
-        return self.called(node, known, inputs)
+        return self.call_function(node, known, inputs)
 
     def _record(self, node: ast.Call, record: Any) -> Item:
         """Return a record from a call of its class, with positional and keyword fields."""
@@ -292,38 +292,38 @@ class Expressions(Elements):
         if len(node.args) > len(names):
             self.fail(node, f"`{record.__name__}` has {len(names)} fields, not {len(node.args)}")
         fields = dict(zip(names, map(self.value, node.args), strict=False))
-        self._named(node, record, fields)
+        self._add_keyword_fields(node, record, fields)
         missing = [name for name in names if name not in fields]
         if missing:
             self.fail(node, f"`{record.__name__}` is given no `{missing[0]}`")
-        return self._fitting(node, record, fields)
+        return self._check_fields(node, record, fields)
 
-    def _replaced(self, node: ast.Call, item: Item) -> Item:
+    def _replace_fields(self, node: ast.Call, item: Item) -> Item:
         """A record with other values in some fields."""
         if not hasattr(item, "_fields") or node.args:
             self.fail(node, "`_replace` belongs to records, and is given fields by name")
         fields: dict[str, Item] = {}
-        self._named(node, type(item), fields)
-        return self._fitting(node, type(item), {**item._asdict(), **fields})
+        self._add_keyword_fields(node, type(item), fields)
+        return self._check_fields(node, type(item), {**item._asdict(), **fields})
 
-    def _named(self, node: ast.Call, record: Any, fields: dict[str, Item]) -> None:
+    def _add_keyword_fields(self, node: ast.Call, record: Any, fields: dict[str, Item]) -> None:
         """Adds what a call gives by name."""
         for each in node.keywords:
             name = each.arg or "**"
             if name not in record._fields:
-                self._no_field(node, record, name)
+                self._fail_no_field(node, record, name)
             if name in fields:
                 self.fail(node, f"`{name}` is given twice")
             fields[name] = self.value(each.value)
 
-    def _no_field(self, node: ast.AST, record: Any, name: str) -> NoReturn:
+    def _fail_no_field(self, node: ast.AST, record: Any, name: str) -> NoReturn:
         self.fail(node, f"`{record.__name__}` has no field `{name}`: its fields are {', '.join(record._fields)}")
 
-    def _fitting(self, node: ast.Call, record: Any, fields: dict[str, Item]) -> Item:
+    def _check_fields(self, node: ast.Call, record: Any, fields: dict[str, Item]) -> Item:
         types = field_types(record)._asdict()
-        return record(**{name: self.fit(node, name, item, types[name]) for name, item in fields.items()})
+        return record(**{name: self.fit_to_type(node, name, item, types[name]) for name, item in fields.items()})
 
-    def fit(self, node: ast.AST, name: str, item: Item, type_: Any) -> Item:
+    def fit_to_type(self, node: ast.AST, name: str, item: Item, type_: Any) -> Item:
         """Return an item of a given type: a constant is converted, any other item must have the type."""
         if type_ is Any:
             return item
@@ -336,21 +336,21 @@ class Expressions(Elements):
             if (type_.axes, type_.strided) == (len(item.lengths), strided) and type_.of in (item.of, Any):
                 return item
         elif isinstance(type_, tuple) and type(item) is type(type_) and len(item) == len(type_):
-            return rebuilt(item, (self.fit(node, name, a, b) for a, b in zip(item, type_, strict=True)))
+            return rebuild_like(item, (self.fit_to_type(node, name, a, b) for a, b in zip(item, type_, strict=True)))
         self.fail(node, f"`{name}` is given a value of another type")
 
-    def _elements(self, node: ast.Call, known: Any, inputs: list[Item]) -> Item:
+    def _load_elements(self, node: ast.Call, known: Any, inputs: list[Item]) -> Item:
         """Several elements of an array at once."""
         if len(inputs) < 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
             self.fail(node, "an array and an index are wanted")
         array, at, *others = inputs
         if known is fetch_ahead:
             return self.fetch_ahead(array, at)
-        if known is consecutive:
+        if known is load_consecutive:
             count = others[0].known
             if not isinstance(count, int) or count % 4 or not 0 < count <= MOST:
                 self.fail(node, f"a multiple of 4 up to {MOST} that stands in the text is wanted")
-            return self.consecutive(node, array, at, count)
+            return self.load_consecutive(node, array, at, count)
         if len(array.lengths) != 2 or array.steps is not None or array.of.kind not in (DOUBLE, FLOAT):
             self.fail(node, "an array (n, 3) of floats in one piece is wanted")
         if known is three:
@@ -359,7 +359,7 @@ class Expressions(Elements):
         self.unit.written.add(array.origin)
         return ()
 
-    def known(self, node: ast.AST, name: ast.expr) -> Any:
+    def resolve_name(self, node: ast.AST, name: ast.expr) -> Any:
         """Return the value of a name of the module, of a package in it, or of Python."""
         if isinstance(name, ast.Attribute) and isinstance(name.value, ast.Name):
             package = self.world.get(name.value.id)

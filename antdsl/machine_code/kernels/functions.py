@@ -30,7 +30,7 @@ def scratch(count: int, dtype: Any) -> Any:
     return np.empty(count, dtype)
 
 
-def consecutive(array: Any, at: int, count: int) -> tuple[Any, ...]:
+def load_consecutive(array: Any, at: int, count: int) -> tuple[Any, ...]:
     """Return `count` consecutive elements of a one-dimensional array, read at once. `count` is a multiple of four."""
     return tuple(array[at + k] for k in range(count))
 
@@ -66,7 +66,7 @@ def as_float(bits: Any) -> Any:
 
 def _intrinsic(stem: str) -> Callable[..., Number]:
     def write(w: Writer, a: Number) -> Number:
-        a = w.floating(a)
+        a = w.to_float(a)
         return w.op(stem, a.kind, a)
 
     return write
@@ -75,14 +75,14 @@ def _intrinsic(stem: str) -> Callable[..., Number]:
 def _absolute(w: Writer, a: Number) -> Number:
     if a.kind in (DOUBLE, FLOAT):
         return w.op("fabs", a.kind, a)
-    return w.select(w.compare("lt", a, constant(0)), w.negated(a), a)
+    return w.select(w.compare("lt", a, constant(0)), w.negate(a), a)
 
 
 def _lesser(w: Writer, *values: Number) -> Number:
     """Return the minimum as Python defines it: the first value, unless another is less."""
     best = values[0]
     for each in values[1:]:
-        a, b = w.paired(each, best)
+        a, b = w.match_kinds(each, best)
         best = w.select(w.compare("lt", a, b), a, b)
     return best
 
@@ -90,26 +90,26 @@ def _lesser(w: Writer, *values: Number) -> Number:
 def _greater(w: Writer, *values: Number) -> Number:
     best = values[0]
     for each in values[1:]:
-        a, b = w.paired(each, best)
+        a, b = w.match_kinds(each, best)
         best = w.select(w.compare("gt", a, b), a, b)
     return best
 
 
-def _finite(w: Writer, a: Number) -> Number:
-    a = w.floating(a)
+def _is_finite(w: Writer, a: Number) -> Number:
+    a = w.to_float(a)
     return w.compare("lt", w.op("fabs", a.kind, a), w.convert(constant(math.inf), a.kind))
 
 
-def _nan(w: Writer, a: Number) -> Number:
-    a = w.floating(a)
+def _is_nan(w: Writer, a: Number) -> Number:
+    a = w.to_float(a)
     return w.op("fno", TRUTH, a, a)
 
 
-def _to(kind: str) -> Callable[..., Number]:
+def _make_conversion(kind: str) -> Callable[..., Number]:
     return lambda w, a: w.convert(a, kind)
 
 
-def _floored(w: Writer, a: Number) -> Number:
+def _floor(w: Writer, a: Number) -> Number:
     return w.convert(_intrinsic("floor")(w, a), INT)
 
 
@@ -126,7 +126,7 @@ def _float(w: Writer, a: Number) -> Number:
     return w.op("bitcast", DOUBLE, w.convert(a, INT))
 
 
-def _narrowed(bits: int, signed: bool) -> Callable[..., Number]:
+def _make_narrowing(bits: int, signed: bool) -> Callable[..., Number]:
     """To fewer bits and back, as a cast does."""
 
     def write(w: Writer, a: Number) -> Number:
@@ -136,10 +136,13 @@ def _narrowed(bits: int, signed: bool) -> Callable[..., Number]:
 
 
 WRITTEN: Mapping[Any, Callable[..., Number]] = {
-    np.sqrt: _intrinsic("sqrt"), math.sqrt: _intrinsic("sqrt"), np.floor: _intrinsic("floor"), math.floor: _floored,
+    np.sqrt: _intrinsic("sqrt"), math.sqrt: _intrinsic("sqrt"), np.floor: _intrinsic("floor"), math.floor: _floor,
     np.ceil: _intrinsic("ceil"), np.rint: _intrinsic("rint"), abs: _absolute, np.abs: _absolute, min: _lesser, max: _greater,
-    np.isfinite: _finite, math.isfinite: _finite, np.isnan: _nan, math.isnan: _nan, int: _to(INT), np.int64: _to(INT),
-    np.intp: _to(INT), np.uint64: _to(UNSIGNED), float: _to(DOUBLE), np.float64: _to(DOUBLE), np.float32: _to(FLOAT),
-    bool: _to(TRUTH), np.bool_: _to(TRUTH), np.int32: _narrowed(32, True), np.uint32: _narrowed(32, False),
+    np.isfinite: _is_finite, math.isfinite: _is_finite, np.isnan: _is_nan, math.isnan: _is_nan, int: _make_conversion(INT),
+    np.int64: _make_conversion(INT),
+    np.intp: _make_conversion(INT), np.uint64: _make_conversion(UNSIGNED), float: _make_conversion(DOUBLE),
+    np.float64: _make_conversion(DOUBLE), np.float32: _make_conversion(FLOAT),
+    bool: _make_conversion(TRUTH), np.bool_: _make_conversion(TRUTH), np.int32: _make_narrowing(32, True),
+    np.uint32: _make_narrowing(32, False),
     as_bits: _bits, as_float: _float, nearest_integer: _nearest_integer,
 }  # fmt: skip

@@ -17,8 +17,8 @@ from numpy.lib.array_utils import byte_bounds
 from antdsl.machine_code.kernels.calling import flat
 from antdsl.machine_code.kernels.ir import Function
 from antdsl.machine_code.kernels.kernel import Kernel
-from antdsl.machine_code.kernels.operations import DTYPES, wrapped
-from antdsl.machine_code.kernels.steps import Code, Memory, Pointer, Prepared, Process, run_code
+from antdsl.machine_code.kernels.operations import DTYPES, wrap
+from antdsl.machine_code.kernels.steps import FunctionPreparer, Memory, Pointer, PreparedFunction, ProcessMemory, run_code
 from antdsl.machine_code.kernels.types import UNSIGNED, ArrayType, Scalar
 from antdsl.machine_code.kernels.values import Item, leaves
 
@@ -36,9 +36,9 @@ class Interpreter:
         self._types = kernel.types()
         self._name, self._result, functions = kernel.instructions()
         self._label = kernel.__name__
-        self._codes: dict[str, Code] = {}
+        self._codes: dict[str, PreparedFunction] = {}
         for each in functions:  # those that are called come first
-            self._codes[each.name] = Prepared(each, self._codes).code()
+            self._codes[each.name] = FunctionPreparer(each, self._codes).code()
 
     def __call__(self, *arguments: Any) -> Any:
         passed: list[Any] = []
@@ -56,16 +56,16 @@ class Interpreter:
         return tuple(values) if isinstance(self._result, tuple) else values[0]
 
 
-def interpreted(functions: Sequence[Function], name: str) -> Callable[[int, int, int], None]:
+def interpreted_function(functions: Sequence[Function], name: str) -> Callable[[int, int, int], None]:
     """Return a plan's function of (table of addresses, first row, row after the last), with the interface of machine code.
     `functions` are all that it calls, callees first."""
-    codes: dict[str, Code] = {}
+    codes: dict[str, PreparedFunction] = {}
     for each in functions:
-        codes[each.name] = Prepared(each, codes).code()
+        codes[each.name] = FunctionPreparer(each, codes).code()
 
     def run(table: int, begin: int, end: int) -> None:
         with np.errstate(all="ignore"):
-            run_code(codes[name], [Pointer(Process(), table), np.int64(begin), np.int64(end)])
+            run_code(codes[name], [Pointer(ProcessMemory(), table), np.int64(begin), np.int64(end)])
 
     return run
 
@@ -81,7 +81,7 @@ def _kinds(types: Sequence[Any]) -> Any:
 def _number(value: Any, type: Scalar) -> Any:
     if type.kind in ("double", "float"):
         return DTYPES[type.kind](np.float64(value))
-    return np.bool_(value) if type.kind == "i1" else wrapped(int(value))
+    return np.bool_(value) if type.kind == "i1" else wrap(int(value))
 
 
 def _array(array: Any, type: ArrayType) -> list[Any]:

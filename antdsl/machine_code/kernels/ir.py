@@ -85,12 +85,12 @@ class Builder(ABC, Generic[Value]):
         return f"%{stem}{self._numbers}"
 
     @abstractmethod
-    def named(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Value:
+    def named_number(self, kind: str, name: str, lanes: int = 1, known: Any = None) -> Value:
         """A number that is called so in the text."""
 
     def op(self, op: str, kind: str, *operands: Number, x: Any = "", lanes: int = 0) -> Value:
         """Add an instruction with a result. It has as many lanes as its first operand, unless `lanes` gives another number."""
-        output = self.named(kind, self.name(), lanes or operands[0].lanes)
+        output = self.named_number(kind, self.name(), lanes or operands[0].lanes)
         self.block_now.body.append(Instruction(op, output, operands, x, self.line))
         return output
 
@@ -192,7 +192,7 @@ class _Verifier:
             if slot is not None and slot[0] != "[" and slot != (gives or types[0]):
                 self.fail(each, f"the place is {slot}")
         elif op == "call":
-            if not self._called(extra, types, gives or "void"):
+            if not self._check_call(extra, types, gives or "void"):
                 self.fail(each, "a call of another type than the function")
         elif op == "return":
             if self.function.result != (types[0] if types else "void"):
@@ -200,7 +200,7 @@ class _Verifier:
         elif not self.labels.issuperset(extra):
             self.fail(each, "no such block")
 
-    def _called(self, name: str, types: tuple[str, ...], gives: str) -> bool:
+    def _check_call(self, name: str, types: tuple[str, ...], gives: str) -> bool:
         function = self.known.get(name)
         return function is not None and (tuple(one.type for one in function.arguments), function.result) == (types, gives)
 
@@ -209,12 +209,12 @@ class _Verifier:
 def _fits(op: str, types: tuple[str, ...], result: str) -> bool:
     """Return whether the types of operands and result match an operation."""
     takes, gives, lanewise = OPS[op].takes, OPS[op].gives, OPS[op].lanewise
-    parts = [parted(each) for each in types]
+    parts = [split_type(each) for each in types]
     bases = [base for _, base in parts]
     lanes = parts[0][0] if parts else 1
     if not takes.endswith("*") and len(takes) != len(types):
         return False
-    if not all(_is(letter, base, bases[0]) for letter, base in zip(takes, bases, strict=False)):
+    if not all(_matches_class(letter, base, bases[0]) for letter, base in zip(takes, bases, strict=False)):
         return False
     if op == "select" and (types[1] != types[2] or lanes not in (1, parts[1][0])):
         return False
@@ -224,17 +224,17 @@ def _fits(op: str, types: tuple[str, ...], result: str) -> bool:
         return op == "call" or gives == result
     if gives in ("2", "="):
         return result == types[1 if gives == "2" else 0]
-    own, base = parted(result)
-    return _is(gives, base, "") and (not lanewise or own == lanes)
+    own, base = split_type(result)
+    return _matches_class(gives, base, "") and (not lanewise or own == lanes)
 
 
-def parted(type: str) -> tuple[int, str]:
+def split_type(type: str) -> tuple[int, str]:
     """Return the number of lanes of a type, and the type of one lane."""
     lanes, _, base = type.strip("<>").partition(" x ") if type[0] == "<" else ("1", "", type)
     return int(lanes), base
 
 
-def _is(letter: str, base: str, first: str) -> bool:
+def _matches_class(letter: str, base: str, first: str) -> bool:
     if letter in "v*":
         return True
     return base == first if letter == "=" else base in (_NUMBERS if letter == "n" else CLASSES.get(letter, (letter,)))

@@ -14,16 +14,16 @@ from types import FunctionType
 from typing import Any, TypeVar
 
 from antdsl.machine_code import codes, library, machine
-from antdsl.machine_code.entries import entry
+from antdsl.machine_code.entries import inner_text
 from antdsl.machine_code.kernels import sources
-from antdsl.machine_code.kernels.calling import KernelDescription, caller, parted
-from antdsl.machine_code.kernels.checks import CHECKED, Checks, guarded
+from antdsl.machine_code.kernels.calling import KernelDescription, caller, parallel_caller
+from antdsl.machine_code.kernels.checks import CHECKED, Checks, guard_call
 from antdsl.machine_code.kernels.direct_text import RESULTS
 from antdsl.machine_code.kernels.ir import Function, verify
 from antdsl.machine_code.kernels.line_tables import LineTables
-from antdsl.machine_code.kernels.records import rebuilt, resolved
-from antdsl.machine_code.kernels.rendering import rendered
-from antdsl.machine_code.kernels.side_by_side import written
+from antdsl.machine_code.kernels.records import rebuild_like, resolve_annotation
+from antdsl.machine_code.kernels.rendering import render_functions
+from antdsl.machine_code.kernels.side_by_side import write_function
 from antdsl.machine_code.kernels.types import INT, LLVM, ArrayType, Scalar
 from antdsl.machine_code.kernels.units import Unit, result_type
 from antdsl.machine_code.kernels.values import Array, Item, Number, leaves
@@ -54,7 +54,7 @@ class Part:
         out."""
         function = self.function
         return {
-            name: () if annotation in ("None", None) else resolved(annotation, function.__globals__)
+            name: () if annotation in ("None", None) else resolve_annotation(annotation, function.__globals__)
             for name, annotation in function.__annotations__.items()
         }
 
@@ -85,10 +85,10 @@ class Kernel:
         self._lock = Lock()
         self._run: Callable[..., Any] | None = None
         self._apart: Callable[[], Callable[..., list[Any]] | None] | None = None
-        self.__call__ = self._first
+        self.__call__ = self._first_call
         library.add(self)
 
-    def _first(self, *arguments: Any) -> Any:
+    def _first_call(self, *arguments: Any) -> Any:
         """The first call."""
         return self.load_function()(*arguments)
 
@@ -98,16 +98,16 @@ class Kernel:
             if self._run is None:
                 machine.require()
                 types, host = self.types(), machine.host()
-                code = codes.code(self.named(host), lambda: self.text(host))
+                code = codes.code(self.text_key(host), lambda: self.text(host))
                 self._run = self.__call__ = run = self.caller(code)
                 self._apart = cache(
-                    lambda: _guarded(parted(self.__name__, code, types, self._description(code), run), code, CHECKED)
+                    lambda: _guard(parallel_caller(self.__name__, code, types, self._description(code), run), code, CHECKED)
                 )
             return self._run
 
     def caller(self, code: machine.Code, checked: bool = CHECKED) -> Callable[..., Any]:
         """Return the function that calls the code of a text that contains this kernel."""
-        guarded_call: Callable[..., Any] = _guarded(
+        guarded_call: Callable[..., Any] = _guard(
             caller(self.__name__, code, self.types(), self._description(code)), code, checked
         )
         return guarded_call
@@ -116,8 +116,8 @@ class Kernel:
         return KernelDescription.read(code.read_text(_description_name(self.__name__)))
 
     def parted(self) -> Callable[..., list[Any]] | None:
-        """Return the function that runs its machine code on a pool of workers, as in `calling.parted`; None where there is
-        none."""
+        """Return the function that runs its machine code on a pool of workers, as in `calling.parallel_caller`; None where there
+        is none."""
         if self._apart is None:
             self.load_function()
         assert self._apart is not None
@@ -127,9 +127,9 @@ class Kernel:
         """Whether its machine code is there, in memory or from another run."""
         if self._run is not None:
             return True
-        return codes.is_available(self.named(machine.host()))
+        return codes.is_available(self.text_key(machine.host()))
 
-    def named(self, target: machine.Target) -> str:
+    def text_key(self, target: machine.Target) -> str:
         """Return the name of its text: the key of its sources, or else the text."""
         return sources.key(self.part, self.types()) or self.text(target)
 
@@ -137,7 +137,7 @@ class Kernel:
         """Return the types of its annotations; for a record, the types of its fields."""
         function = self.part.function
         named = function.__code__.co_varnames[: function.__code__.co_argcount]
-        return [resolved(function.__annotations__.get(name), function.__globals__) for name in named]
+        return [resolve_annotation(function.__annotations__.get(name), function.__globals__) for name in named]
 
     def text(self, target: machine.Target = machine.ANY) -> str:
         """What is compiled, in LLVM's language."""
@@ -147,7 +147,7 @@ class Kernel:
         """For the interpreter, without lanes: the called function, what it returns, and all functions, callees first."""
         unit = Unit(lanes=1)
         words, arrays = count(), count()
-        name, result = written(unit, self.part, [_argument(each, words, [], arrays) for each in self.types()])
+        name, result = write_function(unit, self.part, [_argument(each, words, [], arrays) for each in self.types()])
         verify(unit.functions)
         return name, result, unit.functions
 
@@ -157,7 +157,7 @@ def text_of(kernels: Sequence[Kernel], target: machine.Target, checked: bool = C
     unit, module, tables = Unit(), Module(target), LineTables() if checked else None
     entries = [line for each in kernels for line in _entry(each, unit, module, tables)]
     verify(unit.functions)
-    functions = rendered(unit.functions, Checks() if checked else None, tables)
+    functions = render_functions(unit.functions, Checks() if checked else None, tables)
     return "\n".join([f"; {machine.ALL_PASSES}", module.text(), *functions, *entries, *(tables.text() if tables else [])]) + "\n"
 
 
@@ -165,13 +165,13 @@ def _entry(kernel: Kernel, unit: Unit, module: Module, tables: LineTables | None
     """The constant that describes a kernel, and the function that reads its arguments from a table and stores its results."""
     words, arrays, body = count(RESULTS), count(), list[str]()
     inputs = [_argument(each, words, body, arrays) for each in kernel.types()]
-    name, result = written(unit, kernel.part, inputs)
+    name, result = write_function(unit, kernel.part, inputs)
     arguments = ", ".join(each.typed for item in inputs for each in leaves(item))
     results = list(leaves(result))
     if len(results) > RESULTS:
         raise TypeError(f"{kernel.__name__} gives back more than {RESULTS} numbers")
     code = kernel.part.function.__code__
-    line_table = "" if tables is None else tables.begin(kernel.__name__, code.co_filename, code.co_firstlineno)
+    line_table = "" if tables is None else tables.begin_function(kernel.__name__, code.co_filename, code.co_firstlineno)
     call = f"call {result_type(result)} {name}({arguments})" + ("" if tables is None else tables.of(0))
     body.append(f"  {call}" if not results else f"  %given = {call}")
     for k, each in enumerate(results):
@@ -190,7 +190,7 @@ def _entry(kernel: Kernel, unit: Unit, module: Module, tables: LineTables | None
     several = isinstance(result, tuple) and bool(results)
     line = KernelDescription(tuple(each.kind for each in results), several, tuple(sorted(unit.written))).text()
     constant = f'@{_description_name(kernel.__name__)} = constant [{len(line) + 1} x i8] c"{line}\\00"'
-    return constant, entry(module, kernel.__name__, "\n".join(body), line_table)
+    return constant, inner_text(module, kernel.__name__, "\n".join(body), line_table)
 
 
 def _description_name(name: str) -> str:
@@ -198,8 +198,8 @@ def _description_name(name: str) -> str:
     return f"about.{name}"
 
 
-def _guarded(run: Any, code: machine.Code, checked: bool) -> Any:
-    return guarded(run, code) if checked and run is not None else run
+def _guard(run: Any, code: machine.Code, checked: bool) -> Any:
+    return guard_call(run, code) if checked and run is not None else run
 
 
 def kernel(function: PythonFunction) -> Kernel:
@@ -223,7 +223,7 @@ def _argument(type: Any, words: Iterator[int], body: list[str], numbers: Iterato
         return Number(kind, f"%n{k}")
 
     if isinstance(type, tuple):
-        return rebuilt(type, (_argument(each, words, body, numbers) for each in type))
+        return rebuild_like(type, (_argument(each, words, body, numbers) for each in type))
     if isinstance(type, Scalar):
         return read(type.kind)
     if not isinstance(type, ArrayType):

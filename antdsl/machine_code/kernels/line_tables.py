@@ -31,9 +31,9 @@ class LineTables:
     def _node(self, text: str) -> int:
         return self._nodes.setdefault(text, len(_HEAD) - 2 + len(self._nodes))
 
-    def begin(self, name: str, file_name: str, line: int) -> str:
+    def begin_function(self, name: str, file_name: str, line: int) -> str:
         """What is written after the head of a function."""
-        file = self._node(f'!DIFile(filename: "{_escaped(_relative(file_name))}", directory: "")')
+        file = self._node(f'!DIFile(filename: "{_escape_name(_relative_path(file_name))}", directory: "")')
         self._first = line
         fields = f'name: "{name}", scope: !{file}, file: !{file}, line: {line}, type: !3, unit: !0'
         self._function = f"!{self._node(f'distinct !DISubprogram({fields}, spFlags: DISPFlagDefinition)')}"
@@ -48,10 +48,10 @@ class LineTables:
         return [*_HEAD, *(f"!{number} = {text}" for text, number in self._nodes.items())]
 
 
-def _relative(file: str) -> str:
+def _relative_path(file: str) -> str:
     path = Path(file)
     return path.relative_to(_ROOT).as_posix() if path.is_relative_to(_ROOT) else path.name
 
 
-def _escaped(name: str) -> str:
+def _escape_name(name: str) -> str:
     return "".join(chr(each) if 32 <= each < 127 and each not in b'"\\' else f"\\{each:02X}" for each in name.encode())

@@ -51,12 +51,12 @@ def unsigned(a: Any) -> int:
     return int(a) & ones
 
 
-def _unsigned(function: Callable[[int, int], Any]) -> Callable[[Any, Any], Any]:
+def _on_unsigned(function: Callable[[int, int], Any]) -> Callable[[Any, Any], Any]:
     """Convert a function of unsigned integers to one of signed integers."""
-    return lambda a, b: wrapped(function(unsigned(a), unsigned(b)), a.dtype)
+    return lambda a, b: wrap(function(unsigned(a), unsigned(b)), a.dtype)
 
 
-def wrapped(number: int | bool, dtype: Any = np.int64) -> Any:
+def wrap(number: int | bool, dtype: Any = np.int64) -> Any:
     """Wrap an integer to the bits of a type; a condition is unchanged."""
     if isinstance(number, bool):
         return np.bool_(number)
@@ -67,21 +67,21 @@ def wrapped(number: int | bool, dtype: Any = np.int64) -> Any:
 
 def _quotient(a: Any, b: Any) -> Any:
     x, y = int(a), int(b)
-    return wrapped(abs(x) // abs(y) * (1 if (x < 0) == (y < 0) else -1), a.dtype)
+    return wrap(abs(x) // abs(y) * (1 if (x < 0) == (y < 0) else -1), a.dtype)
 
 
 def _remainder(a: Any, b: Any) -> Any:
     x, y = int(a), int(b)
-    return wrapped(abs(x) % abs(y) * (-1 if x < 0 else 1), a.dtype)
+    return wrap(abs(x) % abs(y) * (-1 if x < 0 else 1), a.dtype)
 
 
-def _saturated(signed: bool) -> Callable[[Any, Any], Any]:
+def _saturating_cast(signed: bool) -> Callable[[Any, Any], Any]:
     def cast(a: Any, dtype: Any) -> Any:
         bounds, number = np.iinfo(dtype if signed else f"u{np.dtype(dtype).itemsize}"), float(a)
         least, most = int(bounds.min), int(bounds.max)
         if math.isnan(number):
-            return wrapped(0, dtype)
-        return wrapped(most if number >= most else least if number <= least else int(number), dtype)
+            return wrap(0, dtype)
+        return wrap(most if number >= most else least if number <= least else int(number), dtype)
 
     return cast
 
@@ -90,7 +90,7 @@ def _low_bits(a: Any, dtype: Any) -> Any:
     return np.bool_(int(a) & 1) if np.dtype(dtype) == np.bool_ else a.astype(dtype)
 
 
-def _of_bits(a: Any, dtype: Any) -> Any:
+def _from_bits(a: Any, dtype: Any) -> Any:
     return a.view(dtype)
 
 
@@ -98,7 +98,7 @@ def _cast(a: Any, dtype: Any) -> Any:
     return a.astype(dtype)
 
 
-def _without_sign(a: Any, dtype: Any) -> Any:
+def _unsigned_cast(a: Any, dtype: Any) -> Any:
     """Of a whole number as if it had no sign."""
     return (a if a.dtype == np.bool_ else a.view(f"u{a.dtype.itemsize}")).astype(dtype)
 
@@ -107,7 +107,9 @@ def _binary(takes: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str,
     return {name: Operation(takes, "=", name + " {0.typed}, {1.name}", meaning) for name, meaning in meanings.items()}
 
 
-def _compared(takes: str, prefix: str, word: str, sign: str, meanings: Mapping[str, Callable[..., Any]]) -> dict[str, Operation]:
+def _comparisons(
+    takes: str, prefix: str, word: str, sign: str, meanings: Mapping[str, Callable[..., Any]]
+) -> dict[str, Operation]:
     """Return the comparisons: `prefix` starts their names; `word` and `sign` are those of LLVM."""
     return {
         f"{prefix}{name}": Operation(takes, "b", f"{word} {sign}{name}" + " {0.typed}, {1.name}", meaning)
@@ -147,25 +149,27 @@ OPS: Final[Mapping[str, Operation]] = {
     **_functions("f", {"sqrt": np.sqrt, "floor": np.floor, "ceil": np.ceil, "rint": np.rint, "fabs": np.abs}),
     "fneg": Operation("f", "=", "fneg {0.typed}", operator.neg),
     **_binary("i=", {"add": operator.add, "sub": operator.sub, "mul": operator.mul, "sdiv": _quotient, "srem": _remainder}),
-    **_binary("i=", {"udiv": _unsigned(operator.floordiv), "urem": _unsigned(operator.mod), "lshr": _unsigned(operator.rshift)}),
+    **_binary(
+        "i=", {"udiv": _on_unsigned(operator.floordiv), "urem": _on_unsigned(operator.mod), "lshr": _on_unsigned(operator.rshift)}
+    ),
     **_functions("i", {"ctpop": lambda a: a.dtype.type(unsigned(a).bit_count())}),
     **_functions("i=", {"smin": min}),
     "cttz": Operation("i", "=", "call {r.type} @llvm.cttz.{0.suffix}({0.typed}, i1 true)", _zeros_below, extra_types=", i1"),
     **_binary("i=", {"shl": operator.lshift, "ashr": operator.rshift}),
     **_binary("n=", {"and": operator.and_, "or": operator.or_, "xor": operator.xor}),
-    **_compared("f=", "f", "fcmp", "o", {**_ORDER, "eq": operator.eq}),
-    **_compared("f=", "f", "fcmp", "u", {"ne": operator.ne, "no": lambda a, b: (a != a) | (b != b)}),
-    **_compared("i=", "s", "icmp", "s", _ORDER),
-    **_compared("i=", "u", "icmp", "u", {name: _unsigned(function) for name, function in _ORDER.items()}),
-    **_compared("n=", "", "icmp", "", {"eq": operator.eq, "ne": operator.ne}),
+    **_comparisons("f=", "f", "fcmp", "o", {**_ORDER, "eq": operator.eq}),
+    **_comparisons("f=", "f", "fcmp", "u", {"ne": operator.ne, "no": lambda a, b: (a != a) | (b != b)}),
+    **_comparisons("i=", "s", "icmp", "s", _ORDER),
+    **_comparisons("i=", "u", "icmp", "u", {name: _on_unsigned(function) for name, function in _ORDER.items()}),
+    **_comparisons("n=", "", "icmp", "", {"eq": operator.eq, "ne": operator.ne}),
     "select": Operation("bvv", "2", "select {0.typed}, {1.typed}, {2.typed}", lambda c, a, b: a if c else b),
     **_casts("i", "i", {"sext": _cast}),
     **_casts("i", "n", {"trunc": _low_bits}),
-    **_casts("n", "n", {"zext": _without_sign, "uitofp": _without_sign, "bitcast": _of_bits}),
+    **_casts("n", "n", {"zext": _unsigned_cast, "uitofp": _unsigned_cast, "bitcast": _from_bits}),
     **_casts("i", "f", {"sitofp": _cast}),
     **_casts("f", "f", {"fpext": _cast, "fptrunc": _cast}),
-    "fptosi": Operation("f", "i", "call {r.type} @llvm.fptosi.sat.{r.suffix}.{0.suffix}({0.typed})", _saturated(True)),
-    "fptoui": Operation("f", "i", "call {r.type} @llvm.fptoui.sat.{r.suffix}.{0.suffix}({0.typed})", _saturated(False)),
+    "fptosi": Operation("f", "i", "call {r.type} @llvm.fptosi.sat.{r.suffix}.{0.suffix}({0.typed})", _saturating_cast(True)),
+    "fptoui": Operation("f", "i", "call {r.type} @llvm.fptoui.sat.{r.suffix}.{0.suffix}({0.typed})", _saturating_cast(False)),
     # Memory. `x`: the type of an element or of a place, or how what is read lies.
     "alloca": Operation("", "p", "alloca {x}", lanewise=False),
     "element": Operation("pi", "p", "getelementptr {x}, {0.typed}, {1.typed}", lanewise=False),

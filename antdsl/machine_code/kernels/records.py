@@ -15,7 +15,7 @@ def is_record(named: Any) -> bool:
     return isinstance(named, type) and issubclass(named, tuple) and hasattr(named, "_fields")
 
 
-def rebuilt(like: Any, parts: Iterable[Any]) -> Any:
+def rebuild_like(like: Any, parts: Iterable[Any]) -> Any:
     """Parts as a tuple, or as a record of the same class."""
     kind = type(like)
     return tuple(parts) if kind is tuple else kind._make(parts)
@@ -25,7 +25,7 @@ def rebuilt(like: Any, parts: Iterable[Any]) -> Any:
 def field_types(record: Any) -> Any:
     """The types of a record's fields, as a record of its class. TypeError for a field without a type of kernels."""
     world = vars(sys.modules[record.__module__])
-    return record._make(resolved(_text(record.__annotations__[name]), world) for name in record._fields)
+    return record._make(resolve_annotation(_text(record.__annotations__[name]), world) for name in record._fields)
 
 
 def _text(annotation: Any) -> Any:
@@ -33,14 +33,14 @@ def _text(annotation: Any) -> Any:
     return getattr(annotation, "__forward_arg__", annotation)
 
 
-def resolved(annotation: Any, world: dict[str, Any]) -> Any:
+def resolve_annotation(annotation: Any, world: dict[str, Any]) -> Any:
     """Return the type of an annotation in a module with these names: a Scalar, an ArrayType, a tuple or record of these, or
     Any."""
-    return _type(_parsed(annotation), world) if isinstance(annotation, str) else _spread(annotation)
+    return _type(_parse_annotation(annotation), world) if isinstance(annotation, str) else _expand_records(annotation)
 
 
 @cache
-def _parsed(text: str) -> ast.expr:
+def _parse_annotation(text: str) -> ast.expr:
     return ast.parse(text, mode="eval").body
 
 
@@ -49,7 +49,7 @@ def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
         if node.id in ("tuple", "Any"):
             return tuple if node.id == "tuple" else Any
         if node.id in world:
-            return _spread(world[node.id])
+            return _expand_records(world[node.id])
     if isinstance(node, ast.Subscript):
         inner = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
         of = [_type(each, world) for each in inner]
@@ -58,8 +58,8 @@ def _type(node: ast.expr | None, world: dict[str, Any]) -> Any:
     raise TypeError(f"`{'nothing' if node is None else ast.unparse(node)}` is no type of `kernels`")
 
 
-def _spread(named: Any) -> Any:
+def _expand_records(named: Any) -> Any:
     """Return what a name stands for, which may be a record or `tuple[..]` of others."""
     if isinstance(named, GenericAlias):
-        return tuple(_spread(each) for each in named.__args__)
+        return tuple(_expand_records(each) for each in named.__args__)
     return field_types(named) if is_record(named) else named

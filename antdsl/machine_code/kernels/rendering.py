@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 from antdsl.machine_code.kernels.checks import Checks
-from antdsl.machine_code.kernels.ir import CHECKS, LANES_OF, MOST, ORDERS, ZEROS, Function, Instruction, parted
+from antdsl.machine_code.kernels.ir import CHECKS, LANES_OF, MOST, ORDERS, ZEROS, Function, Instruction, split_type
 from antdsl.machine_code.kernels.line_tables import LineTables
 from antdsl.machine_code.kernels.operations import OPS
 from antdsl.machine_code.kernels.values import Number
@@ -20,7 +20,7 @@ _TABLES = {
 }
 
 
-def rendered(functions: Sequence[Function], checks: Checks | None = None, tables: LineTables | None = None) -> list[str]:
+def render_functions(functions: Sequence[Function], checks: Checks | None = None, tables: LineTables | None = None) -> list[str]:
     """Return the texts of functions and of the LLVM functions that they call. Without `checks`, their checks are left out;
     without `tables`, their lines."""
     declared = {ZEROS.name: _TABLES[ZEROS.name]}
@@ -36,7 +36,7 @@ def function_text(
     metadata = ""
     if tables is not None:
         first = min((each.line for block in function.blocks for each in block.body if each.line), default=1)
-        metadata = tables.begin(function.name[1:], function.file, first)
+        metadata = tables.begin_function(function.name[1:], function.file, first)
     head = f"define internal {function.result} {function.name}({arguments}) {function.attribute}{metadata} {{"
     lines = [head, "entry:", *(_line(each, declared) for each in function.slots)]
     for k, block in enumerate(function.blocks):
@@ -70,8 +70,8 @@ def _pattern(op: str, types: tuple[str, ...], gives: str, extra: Any) -> tuple[s
     """Return the text of an operation on these types, with `%s` for each operand, and the LLVM function that it calls, with its
     declaration."""
     operation = OPS[op]
-    operands = [Number(base, "%s", None, lanes) for lanes, base in map(parted, types)]
-    lanes, base = parted(gives)
+    operands = [Number(base, "%s", None, lanes) for lanes, base in map(split_type, types)]
+    lanes, base = split_type(gives)
     everything = ", ".join(operand.typed for operand in operands) or ("void" if op == "return" else "")
     text = operation.text.format(*operands, r=Number(base, "", None, lanes), x=extra, all=everything)
     if "@llvm" not in text:

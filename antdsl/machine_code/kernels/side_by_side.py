@@ -14,11 +14,11 @@ from typing import Any
 
 from antdsl.machine_code.kernels.elements import ALL
 from antdsl.machine_code.kernels.ir import Function
-from antdsl.machine_code.kernels.records import rebuilt
+from antdsl.machine_code.kernels.records import rebuild_like
 from antdsl.machine_code.kernels.statements import Writer, stored_names
 from antdsl.machine_code.kernels.types import INT, TRUTH
 from antdsl.machine_code.kernels.units import Unit, Variable, result_type
-from antdsl.machine_code.kernels.values import Item, Number, constant, leaves, renamed, types_of
+from antdsl.machine_code.kernels.values import Item, Number, constant, leaves, rename_item, type_key
 from antdsl.machine_code.kinds import WIDTH
 
 _LEAVES = (ast.Break, ast.Continue, ast.Return)
@@ -84,7 +84,7 @@ class SideBySide(Writer):
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
-    def _within(self, mask: Number, write: Callable[[], None]) -> None:
+    def _write_where(self, mask: Number, write: Callable[[], None]) -> None:
         """Write code that runs if a mask holds for at least one iteration."""
         outer_mask, reached, then, end = self.mask, self.reached, self.label("then"), self.label("done")
         if mask.known is None:
@@ -108,31 +108,31 @@ class SideBySide(Writer):
         fresh = set(self.fresh)
         condition = self.widened(condition)
         outer_mask = self.mask
-        self._within(self.both(outer_mask, condition), lambda: self.block(then))
+        self._write_where(self.logical_and(outer_mask, condition), lambda: self.block(then))
         new_places = self.fresh - fresh
         self.fresh &= fresh
         if other:
-            self._within(self.both(outer_mask, self.inverted(condition)), lambda: self.block(other))
+            self._write_where(self.logical_and(outer_mask, self.invert(condition)), lambda: self.block(other))
         self.fresh -= new_places
-        self._again([*then, *other])
+        self._write_remaining([*then, *other])
 
-    def _again(self, body: list[ast.stmt]) -> None:
+    def _write_remaining(self, body: list[ast.stmt]) -> None:
         """Remove from the mask the iterations that have left in `body`."""
-        if _has_leaves(body):
+        if _has_exits(body):
             assert self.mask is not None
-            self.mask = self.both(self.mask, self.load(self.turns[-1].now, TRUTH, WIDTH))
+            self.mask = self.logical_and(self.mask, self.load(self.turns[-1].now, TRUTH, WIDTH))
 
-    def _clear(self, place: Number) -> None:
+    def _clear_mask(self, place: Number) -> None:
         assert self.mask is not None
-        self.put(place, self.op("and", TRUTH, self.load(place, TRUTH, WIDTH), self.inverted(self.widened(self.mask))))
+        self.put(place, self.op("and", TRUTH, self.load(place, TRUTH, WIDTH), self.invert(self.widened(self.mask))))
 
     def leave(self, loop: bool) -> None:
         if self.mask is None:
             super().leave(loop)
             return
-        self._clear(self.turns[-1].now)
+        self._clear_mask(self.turns[-1].now)
         if loop:
-            self._clear(self.turns[-1].inside)
+            self._clear_mask(self.turns[-1].inside)
         self.open = False
 
     def while_(self, test: ast.expr, body: list[ast.stmt]) -> None:
@@ -144,7 +144,7 @@ class SideBySide(Writer):
         self.jump(head)
         self.begin(head)
         self.mask = self.load(turns.inside, TRUTH, WIDTH)
-        active_mask = self.both(self.mask, self.widened(self.truth(test)))
+        active_mask = self.logical_and(self.mask, self.widened(self.truth(test)))
         self.put(turns.inside, active_mask)
         self.put(turns.now, active_mask)
         self.branch(self.any_lane(active_mask), inner, end)
@@ -155,26 +155,26 @@ class SideBySide(Writer):
         self.reached = reached
         self.jump(head)
         self.begin(end)
-        self._left(outer_mask, body)
+        self._rejoin_after_loop(outer_mask, body)
 
-    def _left(self, outer_mask: Number, body: list[ast.stmt]) -> None:
+    def _rejoin_after_loop(self, outer_mask: Number, body: list[ast.stmt]) -> None:
         """Restore the mask after a loop, without the iterations that left the function in it."""
         self.turns.pop()
         self.mask, self.open = outer_mask, True
         if any(isinstance(each, ast.Return) for statement in body for each in ast.walk(statement)):
-            self.mask = self.both(outer_mask, self.load(self.turns[-1].now, TRUTH, WIDTH))
+            self.mask = self.logical_and(outer_mask, self.load(self.turns[-1].now, TRUTH, WIDTH))
 
-    def counted(
+    def count_loop(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
     ) -> None:
         if self.mask is None:
-            super().counted(name, begin, end, step, body, write)
+            super().count_loop(name, begin, end, step, body, write)
             return
         write = write or (lambda: self.block(body))
         wide = begin.wide or end.wide
         begin, end = self.convert(begin, INT), self.convert(end, INT)
-        if not wide and not _has_leaves(body):
-            self._uniform(name, begin, end, step, write)
+        if not wide and not _has_exits(body):
+            self._uniform_loop(name, begin, end, step, write)
             return
         outer_mask, turns = self.mask, self._enter()
         lanes = WIDTH if wide else 1
@@ -185,7 +185,7 @@ class SideBySide(Writer):
         self.jump(head)
         self.begin(head)
         at = self.load(number, INT, lanes)
-        active_mask = self.both(self.load(turns.inside, TRUTH, WIDTH), self.compare("lt" if step > 0 else "gt", at, end))
+        active_mask = self.logical_and(self.load(turns.inside, TRUTH, WIDTH), self.compare("lt" if step > 0 else "gt", at, end))
         active_mask = self.widened(active_mask)
         self.put(turns.inside, active_mask)
         self.put(turns.now, active_mask)
@@ -199,9 +199,9 @@ class SideBySide(Writer):
         self.jump(head)
         self.begin(exit_label)
         self.variables.pop(name, None)
-        self._left(outer_mask, body)
+        self._rejoin_after_loop(outer_mask, body)
 
-    def _uniform(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
+    def _uniform_loop(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
         """Write a loop over the same numbers for all iterations, which none leaves. Their mask does not change."""
         with self._scalar_loop(begin, end, step) as at:
             self.variables[name] = at
@@ -226,11 +226,11 @@ class SideBySide(Writer):
         self.jump(head)
         self.begin(exit_label)
 
-    def written_out(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
+    def unrolled_loop(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
         if self.mask is None:
-            super().written_out(node, target, items, body)
+            super().unrolled_loop(node, target, items, body)
             return
-        left = _has_leaves(body)
+        left = _has_exits(body)
         outer_mask, turns = self.mask, self._enter()
         for item in items:
             if left:
@@ -240,25 +240,25 @@ class SideBySide(Writer):
             self.block(body)
             self.open = True
         self.unbind(target)
-        self._left(outer_mask, body)
+        self._rejoin_after_loop(outer_mask, body)
 
-    def give_back(self, node: ast.AST, item: Item) -> None:
+    def return_item(self, node: ast.AST, item: Item) -> None:
         if self.mask is None:
-            super().give_back(node, item)
+            super().return_item(node, item)
             return
-        if self.returns and types_of(self._wide(item)) != types_of(self.result):
-            item = self.alike_to(node, item, self.result)
+        if self.returns and type_key(self._widen(item)) != type_key(self.result):
+            item = self.match_item(node, item, self.result)
         if not self.returns:
             self.results = [self.variable(self.widened(each)) for each in leaves(item)]
-        self.result, self.returns, self.open = self._wide(item), True, False
+        self.result, self.returns, self.open = self._widen(item), True, False
         for variable, each in zip(self.results, leaves(item), strict=True):
             self.change(node, variable, each)
         for turns in self.turns:
-            self._clear(turns.now)
-            self._clear(turns.inside)
+            self._clear_mask(turns.now)
+            self._clear_mask(turns.inside)
 
-    def _wide(self, item: Item) -> Item:
-        return rebuilt(item, map(self._wide, item)) if isinstance(item, tuple) else self.widened(item)
+    def _widen(self, item: Item) -> Item:
+        return rebuild_like(item, map(self._widen, item)) if isinstance(item, tuple) else self.widened(item)
 
     def end(self) -> None:
         """Return the results of all iterations from a function that runs several."""
@@ -267,14 +267,14 @@ class SideBySide(Writer):
             return
         self.result = self.result or ()
         numbers = [self.load(each.place, each.kind, WIDTH) for each in self.results]
-        self.returned(renamed(self.result, iter([each.name for each in numbers])))
+        self.emit_return(rename_item(self.result, iter([each.name for each in numbers])))
 
     # --- loops and calls -----------------------------------------------------------------------------------------------
 
     def side_by_side(self, name: str, begin: Number, end: Number, body: list[ast.stmt]) -> None:
         if self.mask is not None or self.unit.lanes == 1:
             known = dict(self.variables)
-            self.counted(name, begin, end, 1, body)
+            self.count_loop(name, begin, end, 1, body)
             if self.unit.lanes == 1:
                 self.variables = known
             return
@@ -293,18 +293,18 @@ class SideBySide(Writer):
             self.block(body)
             self.turns.pop()
             self.mask, self.open, self.variables, self.loops = None, True, dict(known), loops
-        super().counted(name, middle, end, 1, body)
+        super().count_loop(name, middle, end, 1, body)
         self.variables = known  # what a turn has named is its own
 
-    def called(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
+    def call_function(self, node: ast.Call, function: Any, inputs: list[Item]) -> Item:
         part = getattr(function, "part", None)
         if part is None:
             self.fail(node, f"`{ast.unparse(node.func)}` is no function of kernels")
         types = part.types()
         for each, item in zip(part.source()[1].args.args, inputs, strict=False):
-            self.fit(node, each.arg, item, types.get(each.arg, Any))
+            self.fit_to_type(node, each.arg, item, types.get(each.arg, Any))
         wide = self.mask is not None and any(each.wide for item in inputs for each in leaves(item))
-        name, result = written(self.unit, part, inputs, wide)
+        name, result = write_function(self.unit, part, inputs, wide)
         operands = [each for item in inputs for each in leaves(item)]
         if wide:
             assert self.mask is not None
@@ -320,23 +320,23 @@ class SideBySide(Writer):
             value_names = [
                 self.op("extractvalue", each.kind, aggregate, x=k, lanes=each.lanes).name for k, each in enumerate(numbers)
             ]
-        return renamed(result, iter(value_names))
+        return rename_item(result, iter(value_names))
 
 
-def _has_leaves(body: list[ast.stmt]) -> bool:
+def _has_exits(body: list[ast.stmt]) -> bool:
     """Return whether iterations may leave a loop or their function in these statements."""
     return any(isinstance(each, _LEAVES) for statement in body for each in ast.walk(statement))
 
 
-def written(unit: Unit, part: Any, inputs: list[Item], wide: bool = False) -> tuple[str, Item]:
+def write_function(unit: Unit, part: Any, inputs: list[Item], wide: bool = False) -> tuple[str, Item]:
     """Return the name and the result of a part's function for items of these types, written once. `wide`: for several turns in
     SIMD lanes; the last argument is the mask of those that count."""
-    key = (part, ",".join(types_of(each) for each in inputs) + ("," if wide else ""))
+    key = (part, ",".join(type_key(each) for each in inputs) + ("," if wide else ""))
     if key not in unit.specialisations:
         name = f"@{part.function.__name__}.{len(unit.specialisations)}"
         unit.specialisations[key] = name, None
         numbers = iter(f"%x{k}" for k in range(100_000))
-        own = [renamed(each, numbers) for each in inputs]
+        own = [rename_item(each, numbers) for each in inputs]
         mask = Number(TRUTH, "%mask", lanes=WIDTH) if wide else None
         w = SideBySide(unit, part, mask)
         arguments = [each for item in own for each in leaves(item)] + ([mask] if mask else [])

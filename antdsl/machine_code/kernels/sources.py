@@ -19,23 +19,23 @@ from antdsl import machine_code
 from antdsl.bounded import read_bounded
 from antdsl.limits import MIB
 from antdsl.machine_code.kernels.checks import CHECKED
-from antdsl.machine_code.kernels.records import field_types, is_record, resolved
+from antdsl.machine_code.kernels.records import field_types, is_record, resolve_annotation
 from antdsl.machine_code.kernels.types import ArrayType, Scalar
 
 _LARGEST = 4 * MIB  # of a file
 
 
-class _Unknown(Exception):
+class _UnknownSource(Exception):
     """A value that cannot be compared between runs."""
 
 
 def key(part: Any, types: list[Any]) -> str | None:
     """Return a key for the text of a kernel with arguments of these types; None where there is none. A text begins otherwise."""
-    parts: list[str] = [_writers(), f"checked {CHECKED}", *map(_written, types)]
+    parts: list[str] = [_writers(), f"checked {CHECKED}", *map(_type_text, types)]
     known: dict[int, int] = {}
     try:
-        _function(part, parts, known)
-    except (_Unknown, OSError, ValueError):
+        _describe_function(part, parts, known)
+    except (_UnknownSource, OSError, ValueError):
         return None
     hashed = blake2b(digest_size=32)
     for each in parts:
@@ -44,10 +44,10 @@ def key(part: Any, types: list[Any]) -> str | None:
     return "sources " + hashed.hexdigest()
 
 
-def _written(type: Any) -> str:
+def _type_text(type: Any) -> str:
     if isinstance(type, tuple):
         names = getattr(type, "_fields", ())
-        return f"{type.__class__.__qualname__}{names}({','.join(map(_written, type))})"
+        return f"{type.__class__.__qualname__}{names}({','.join(map(_type_text, type))})"
     return _repr(type)
 
 
@@ -73,7 +73,7 @@ def _digest_of(path: str, changed: int, size: int) -> str:
     return blake2b(read_bounded(path, _LARGEST), digest_size=16).hexdigest()
 
 
-def _function(part: Any, parts: list[str], known: dict[int, int]) -> None:
+def _describe_function(part: Any, parts: list[str], known: dict[int, int]) -> None:
     """Append the description of a function of kernels, and of the values of its names. One that is already described is referred
     to by its number."""
     function: FunctionType = part.function
@@ -84,26 +84,26 @@ def _function(part: Any, parts: list[str], known: dict[int, int]) -> None:
     code, world = function.__code__, function.__globals__
     place = f"{function.__module__} {function.__qualname__} {code.co_firstlineno} {part.attribute}"
     parts.append(f"{place} {_digest(code.co_filename)}")
-    names = sorted(set(_names(code)))
+    names = sorted(set(_code_names(code)))
     for name in names:
         if name in world:
             parts.append(name)
-            _value(world[name], names, parts, known)
+            _describe_value(world[name], names, parts, known)
 
 
-def _names(code: CodeType) -> Iterator[str]:
+def _code_names(code: CodeType) -> Iterator[str]:
     """Yield all names that a function uses for anything. A reader of its text may look up each in its module."""
     for names in (code.co_names, code.co_varnames, code.co_freevars, code.co_cellvars):
         yield from names
     for each in code.co_consts:
         if isinstance(each, CodeType):
-            yield from _names(each)
+            yield from _code_names(each)
 
 
-def _value(value: Any, names: list[str], parts: list[str], known: dict[int, int]) -> None:
+def _describe_value(value: Any, names: list[str], parts: list[str], known: dict[int, int]) -> None:
     part = None if is_record(value) else getattr(value, "part", None)
     if part is not None:
-        _function(part, parts, known)
+        _describe_function(part, parts, known)
     elif isinstance(value, ModuleType):
         parts.append(f"module {value.__name__}")
         has = vars(value)  # NumPy takes long to say that it has not
@@ -111,18 +111,18 @@ def _value(value: Any, names: list[str], parts: list[str], known: dict[int, int]
             inner = has.get(name)
             if inner is not None and not isinstance(inner, ModuleType):
                 parts.append(name)
-                _value(inner, [], parts, known)
+                _describe_value(inner, [], parts, known)
     elif is_record(value):
-        parts.append(f"record {value.__module__} {_written(field_types(value))}")
+        parts.append(f"record {value.__module__} {_type_text(field_types(value))}")
     elif isinstance(value, tuple):
         parts.append(f"{type(value).__qualname__} {len(value)}")
         for each in value:
-            _value(each, names, parts, known)
+            _describe_value(each, names, parts, known)
     elif value is None or isinstance(value, bool | int | float | str | np.generic | Scalar | ArrayType):
         parts.append(f"{type(value).__name__} {value!r}")
     elif isinstance(value, GenericAlias):
-        parts.append(_written(resolved(value, {})))
+        parts.append(_type_text(resolve_annotation(value, {})))
     elif callable(value) and isinstance(getattr(value, "__qualname__", None), str):
         parts.append(f"{value.__module__} {value.__qualname__}")
     else:
-        raise _Unknown
+        raise _UnknownSource

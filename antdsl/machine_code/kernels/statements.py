@@ -10,10 +10,10 @@ from typing import Any
 
 from antdsl.machine_code.kernels.expressions import Expressions
 from antdsl.machine_code.kernels.functions import independent
-from antdsl.machine_code.kernels.records import rebuilt
+from antdsl.machine_code.kernels.records import rebuild_like
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, TRUTH, UNSIGNED
 from antdsl.machine_code.kernels.units import Loop, Unit, Variable, result_type
-from antdsl.machine_code.kernels.values import Array, Item, Number, constant, has_arrays, leaves, types_of
+from antdsl.machine_code.kernels.values import Array, Item, Number, constant, has_arrays, leaves, type_key
 
 _WRITTEN_OUT = 4  # turns up to which a loop over constants in the text is unrolled
 
@@ -48,9 +48,9 @@ class Writer(Expressions):
     def end(self) -> None:
         """The body has been written."""
         if self.open:
-            self.give_back(self.definition, ())
+            self.return_item(self.definition, ())
 
-    def unread(self, name: str) -> Any:
+    def lookup_name(self, name: str) -> Any:
         if name not in self.variables:
             if name in self.world:
                 return self._constants(self.world[name])
@@ -59,12 +59,12 @@ class Writer(Expressions):
 
     def _constants(self, value: Any) -> Item:
         if isinstance(value, tuple):
-            return rebuilt(value, (self._constants(each) for each in value))
+            return rebuild_like(value, (self._constants(each) for each in value))
         return constant(value)
 
     def loaded(self, item: Any) -> Item:
         if isinstance(item, tuple):
-            return rebuilt(item, (self.loaded(each) for each in item))
+            return rebuild_like(item, (self.loaded(each) for each in item))
         if isinstance(item, Variable):
             return self.load(item.place, item.kind, item.lanes)
         return item
@@ -75,21 +75,21 @@ class Writer(Expressions):
         """Assign a value to a name; the first assignment decides its type."""
         if name not in self.variables:
             self.variables[name] = self._allocate(item)
-        self._put(node, name, self.variables[name], item)
+        self._assign_into(node, name, self.variables[name], item)
 
     def _allocate(self, item: Item) -> Any:
         if isinstance(item, tuple):
-            return rebuilt(item, (self._allocate(each) for each in item))
+            return rebuild_like(item, (self._allocate(each) for each in item))
         return item if isinstance(item, Array) else self.variable(item)
 
     def variable(self, item: Number) -> Variable:
         """Room for a number."""
         return Variable(item.kind, self.slot(item.kind, item.lanes), item.lanes)
 
-    def _put(self, node: ast.AST, name: str, destination: Any, item: Item) -> None:
+    def _assign_into(self, node: ast.AST, name: str, destination: Any, item: Item) -> None:
         if isinstance(destination, tuple) and type(destination) is type(item) and len(destination) == len(item):
             for one, other in zip(destination, item, strict=True):
-                self._put(node, name, one, other)
+                self._assign_into(node, name, one, other)
         elif isinstance(destination, Variable) and isinstance(item, Number):
             if item.kind != destination.kind and not (
                 item.known is not None or item.kind == TRUTH or (item.kind, destination.kind) == (INT, DOUBLE)
@@ -105,7 +105,7 @@ class Writer(Expressions):
         """Give a variable another value."""
         self.put(variable.place, value)
 
-    def _to(self, node: ast.AST, target: ast.expr, item: Item) -> None:
+    def _assign_target(self, node: ast.AST, target: ast.expr, item: Item) -> None:
         match target:
             case ast.Name(id="_"):
                 pass
@@ -115,7 +115,7 @@ class Writer(Expressions):
                 if not isinstance(item, tuple) or len(parts) != len(item):
                     self.fail(node, f"{len(parts)} values are wanted")
                 for part, each in zip(parts, item, strict=True):
-                    self._to(node, part, each)
+                    self._assign_target(node, part, each)
             case ast.Subscript(value=of, slice=ast.Slice(lower=None, upper=None)):
                 self._fill(node, self.value(of), item)
             case ast.Subscript(value=of, slice=index):
@@ -128,7 +128,7 @@ class Writer(Expressions):
 
     def _store(self, node: ast.AST, array: Array, at: Number, item: Number) -> None:
         self.unit.written.add(array.origin)
-        self.keep(node, array, at, item)
+        self.store_element(node, array, at, item)
 
     def _fill(self, node: ast.AST, array: Item, item: Item) -> None:
         """`a[:] = number`."""
@@ -139,7 +139,7 @@ class Writer(Expressions):
         count = self.count(array)
         flat_array = Array(array.of, array.address, (count,), None, array.origin)
         with_number = ast.Name(id="~k")
-        self._counted("~k", constant(0), count, 1, lambda: self._store(node, flat_array, self.number(with_number), item))
+        self._count_loop("~k", constant(0), count, 1, lambda: self._store(node, flat_array, self.number(with_number), item))
 
     # --- statements ----------------------------------------------------------------------------------------------------
 
@@ -157,20 +157,20 @@ class Writer(Expressions):
             case ast.Expr(value=call):
                 self.value(call)
             case ast.Assign(targets=[target], value=value):
-                self._to(node, target, self.value(value))
+                self._assign_target(node, target, self.value(value))
             case ast.Assign(targets=targets, value=value):
                 item = self.value(value)
                 for target in targets:
-                    self._to(node, target, item)
+                    self._assign_target(node, target, item)
             case ast.AnnAssign(target=target, value=ast.expr() as value):
-                self._to(node, target, self.value(value))
+                self._assign_target(node, target, self.value(value))
             case ast.AugAssign(target=ast.Name(id=name), op=operator, value=value):
                 self._augment(node, ast.Name(id=name), operator, value)
             case ast.AugAssign(target=ast.Subscript(value=of, slice=index), op=operator, value=value):
                 array = self.value(of)
                 if not isinstance(array, Array):
                     self.fail(node, "only an array's elements change")
-                old_value = self._indexed(target_of(node), array, index)
+                old_value = self._index_item(target_of(node), array, index)
                 new_value = self.arithmetic(node, operator, old_value, self.number(value))
                 self._store(node, array, self.at(node, array, index), new_value)
             case ast.If(test=test, body=then, orelse=other):
@@ -183,8 +183,8 @@ class Writer(Expressions):
                 self.leave(isinstance(node, ast.Break))
             case ast.Return(value=value):
                 item = () if value is None else self.value(value)
-                self.fit(node, "return", item, self.gives)
-                self.give_back(node, item)
+                self.fit_to_type(node, "return", item, self.gives)
+                self.return_item(node, item)
             case _:
                 self.fail(node, f"`{ast.unparse(node).splitlines()[0]}` is not in the subset")
 
@@ -239,7 +239,7 @@ class Writer(Expressions):
 
     def _for(self, node: ast.For, target: ast.expr, over: ast.expr, body: list[ast.stmt]) -> None:
         if isinstance(over, ast.Call):
-            known, numbers = self.known(over, over.func), [self.number(each) for each in over.args]
+            known, numbers = self.resolve_name(over, over.func), [self.number(each) for each in over.args]
             if known not in (range, independent) or not isinstance(target, ast.Name):
                 self.fail(node, "`for` goes over `range`, `independent` or a tuple")
             step = int(numbers[2].known or 0) if len(numbers) == 3 else 1
@@ -249,38 +249,38 @@ class Writer(Expressions):
             if begin.known is not None and end.known is not None:
                 turns = range(int(begin.known), int(end.known), step)
                 if len(turns) <= _WRITTEN_OUT:
-                    self.written_out(node, target, [constant(k) for k in turns], body)
+                    self.unrolled_loop(node, target, [constant(k) for k in turns], body)
                     return
             if known is independent:
                 self.side_by_side(target.id, begin, end, body)
             else:
-                self.counted(target.id, begin, end, step, body)
+                self.count_loop(target.id, begin, end, step, body)
             return
         items = self.value(over)
         if isinstance(items, tuple):
-            self.written_out(node, target, list(items), body)
+            self.unrolled_loop(node, target, list(items), body)
             return
         if not isinstance(items, Array) or len(items.lengths) != 1:
             self.fail(node, "`for` goes over `range`, `independent`, a tuple or an array with one axis")
         at = f"~{self.label('at')}"
 
         def turn() -> None:
-            self._to(node, target, self._indexed(over, items, ast.Name(id=at)))
+            self._assign_target(node, target, self._index_item(over, items, ast.Name(id=at)))
             self.block(body)
 
-        self.counted(at, constant(0), items.lengths[0], 1, body, turn)
+        self.count_loop(at, constant(0), items.lengths[0], 1, body, turn)
 
-    def counted(
+    def count_loop(
         self, name: str, begin: Number, end: Number, step: int, body: list[ast.stmt], write: Callable[[], None] | None = None
     ) -> None:
         """Write a loop over numbers. `write` writes an iteration, where that is more than its `body`."""
-        self._counted(name, begin, end, step, write or (lambda: self.block(body)))
+        self._count_loop(name, begin, end, step, write or (lambda: self.block(body)))
 
     def side_by_side(self, name: str, begin: Number, end: Number, body: list[ast.stmt]) -> None:
         """Write a loop in which several iterations can run at once."""
         raise NotImplementedError
 
-    def written_out(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
+    def unrolled_loop(self, node: ast.AST, target: ast.expr, items: list[Item], body: list[ast.stmt]) -> None:
         end = self.label("end")
         for item in items:
             following = self.label("next")
@@ -307,7 +307,7 @@ class Writer(Expressions):
             if isinstance(each, ast.Name):
                 self.variables.pop(each.id, None)
 
-    def _counted(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
+    def _count_loop(self, name: str, begin: Number, end: Number, step: int, write: Callable[[], None]) -> None:
         """A loop over numbers."""
         begin, end = self.convert(begin, INT), self.convert(end, INT)
         number = self.slot(INT)
@@ -327,15 +327,15 @@ class Writer(Expressions):
         self.jump(head)
         self.begin(exit_label)
 
-    def give_back(self, node: ast.AST, item: Item) -> None:
-        if self.returns and types_of(item) != types_of(self.result):
-            item = self.alike_to(node, item, self.result)
+    def return_item(self, node: ast.AST, item: Item) -> None:
+        if self.returns and type_key(item) != type_key(self.result):
+            item = self.match_item(node, item, self.result)
         if has_arrays(item):
             self.fail(node, "arrays cannot be given back")
         self.result, self.returns, self.open = item if not self.returns else self.result, True, False
-        self.returned(item)
+        self.emit_return(item)
 
-    def returned(self, item: Item) -> None:
+    def emit_return(self, item: Item) -> None:
         """Leave the function, which gives back an item."""
         numbers = list(leaves(item))
         if len(numbers) < 2:
@@ -346,10 +346,10 @@ class Writer(Expressions):
             aggregate = self.op("insertvalue", aggregate.kind, aggregate, each, x=k)
         self.do("return", aggregate)
 
-    def alike_to(self, node: ast.AST, item: Item, other: Item) -> Item:
+    def match_item(self, node: ast.AST, item: Item, other: Item) -> Item:
         """Convert an item to the type of another result of the function."""
         if isinstance(item, tuple) and type(item) is type(other) and len(item) == len(other):
-            return rebuilt(item, (self.alike_to(node, a, b) for a, b in zip(item, other, strict=True)))
+            return rebuild_like(item, (self.match_item(node, a, b) for a, b in zip(item, other, strict=True)))
         if isinstance(item, Number) and isinstance(other, Number) and (item.known is not None or item.kind == other.kind):
             return self.as_kind(item, other.kind)
         self.fail(node, "gives back another type than before")

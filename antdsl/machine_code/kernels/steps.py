@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from antdsl.machine_code.kernels.checks import KernelFault, described
-from antdsl.machine_code.kernels.ir import LANES_OF, ORDERS, Function, Instruction, parted
-from antdsl.machine_code.kernels.operations import DTYPES, OPS, wrapped
+from antdsl.machine_code.kernels.checks import KernelFault, check_message
+from antdsl.machine_code.kernels.ir import LANES_OF, ORDERS, Function, Instruction, split_type
+from antdsl.machine_code.kernels.operations import DTYPES, OPS, wrap
 from antdsl.machine_code.kernels.values import Number
 from antdsl.machine_code.kinds import WIDTH
 
@@ -53,7 +53,7 @@ class Memory:
             self._empty[at] = 0
 
 
-class Process:
+class ProcessMemory:
     """The memory of this process, by addresses, where a plan's arrays and the table of their addresses lie."""
 
     def load(self, at: int, type: str, any_: bool = False) -> Any:
@@ -68,7 +68,7 @@ class Process:
 
 
 class Pointer(NamedTuple):
-    memory: Memory | Process
+    memory: Memory | ProcessMemory
     at: int
 
 
@@ -78,7 +78,7 @@ class _Slot:
     value: Any = None
 
 
-class Code(NamedTuple):
+class PreparedFunction(NamedTuple):
     """A function ready to run: constant registers, makers of its stack slots, and its blocks of steps. The last step of a block
     returns the number of the next block, or the function's result."""
 
@@ -88,7 +88,7 @@ class Code(NamedTuple):
     ends: list[Callable[[list[Any]], Any]]
 
 
-def run_code(code: Code, arguments: Sequence[Any]) -> Any:
+def run_code(code: PreparedFunction, arguments: Sequence[Any]) -> Any:
     registers = code.registers.copy()
     registers[: len(arguments)] = arguments
     for place, make in code.slots:
@@ -101,22 +101,22 @@ def run_code(code: Code, arguments: Sequence[Any]) -> Any:
     return block[0]
 
 
-class Prepared:
+class FunctionPreparer:
     """Makes a function ready to run."""
 
-    def __init__(self, function: Function, codes: dict[str, Code]) -> None:
+    def __init__(self, function: Function, codes: dict[str, PreparedFunction]) -> None:
         self.function, self.codes = function, codes
         self.registers: list[Any] = [None] * len(function.arguments)
         self.places = {each.name: k for k, each in enumerate(function.arguments)}
         self.labels = {each.label: k for k, each in enumerate(function.blocks)}
 
-    def code(self) -> Code:
+    def code(self) -> PreparedFunction:
         slots = [
             (self.place(each.result), _make_allocator(each.extra)) for each in self.function.slots if each.result is not None
         ]
         blocks = [[self.step(each) for each in block.body[:-1]] for block in self.function.blocks]
         ends = [self.end(block.body[-1]) for block in self.function.blocks]
-        return Code(self.registers, slots, blocks, ends)
+        return PreparedFunction(self.registers, slots, blocks, ends)
 
     def place(self, number: Number) -> int:
         """The register of a number; a constant has its own."""
@@ -218,7 +218,7 @@ class Prepared:
 
     def _lanes(self, each: Instruction, to: int, mask: int) -> _Step:
         def step(registers: list[Any]) -> None:
-            registers[to] = wrapped(sum(1 << k for k, held in enumerate(registers[mask]) if held), np.int8)
+            registers[to] = wrap(sum(1 << k for k, held in enumerate(registers[mask]) if held), np.int8)
 
         return step
 
@@ -240,7 +240,7 @@ class Prepared:
     # --- memory --------------------------------------------------------------------------------------------------------
 
     def _element(self, each: Instruction, to: int, address: int, index: int) -> _Step:
-        lanes, base = parted(each.extra)
+        lanes, base = split_type(each.extra)
         size = lanes * (8 if base == "ptr" else np.dtype(DTYPES[base]).itemsize)
 
         def step(registers: list[Any]) -> None:
@@ -337,14 +337,14 @@ class Prepared:
     def _index(self, each: Instruction, to: int, index: int, length: int) -> _Step:
         def step(registers: list[Any]) -> None:
             if not 0 <= registers[index] <= registers[length] - each.extra:
-                raise KernelFault(described(self.function.file, each.line, each.op))
+                raise KernelFault(check_message(self.function.file, each.line, each.op))
 
         return step
 
     def _divisor(self, each: Instruction, to: int, number: int) -> _Step:
         def step(registers: list[Any]) -> None:
             if registers[number] == 0:
-                raise KernelFault(described(self.function.file, each.line, each.op))
+                raise KernelFault(check_message(self.function.file, each.line, each.op))
 
         return step
 

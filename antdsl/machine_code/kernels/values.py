@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-from antdsl.machine_code.kernels.records import rebuilt
+from antdsl.machine_code.kernels.records import rebuild_like
 from antdsl.machine_code.kernels.types import DOUBLE, FLOAT, INT, LLVM, TRUTH, UNSIGNED, Scalar
 from antdsl.machine_code.kinds import F32, F64, I64, literal
 
@@ -107,20 +107,20 @@ def has_arrays(item: Item) -> bool:
     return any(map(has_arrays, item)) if isinstance(item, tuple) else isinstance(item, Array)
 
 
-def types_of(item: Item) -> str:
+def type_key(item: Item) -> str:
     """What a function of this item is known by."""
     if isinstance(item, tuple):
         record = "" if type(item) is tuple else f"{type(item).__module__}.{type(item).__qualname__}"
-        return f"{record}({','.join(types_of(each) for each in item)})"
+        return f"{record}({','.join(type_key(each) for each in item)})"
     if isinstance(item, Array):
         return f"[{item.of.name}{len(item.lengths)}{'s' if item.steps else ''}.{item.origin}]"
     return f"{item.kind}{item.lanes}" if item.wide else str(item.kind)
 
 
-def renamed(item: Item, names: Iterator[str]) -> Item:
+def rename_item(item: Item, names: Iterator[str]) -> Item:
     """The same with other names, for instance those of arguments."""
     if isinstance(item, tuple):
-        return rebuilt(item, (renamed(each, names) for each in item))
+        return rebuild_like(item, (rename_item(each, names) for each in item))
     if isinstance(item, Array):
         address = Number("ptr", next(names))
         lengths = tuple(Number(INT, next(names)) for _ in item.lengths)

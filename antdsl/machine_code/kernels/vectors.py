@@ -17,7 +17,7 @@ class Vectors(Builder[Value]):
         if value.wide:
             return value
         if value.name[0] not in "%@":
-            return self.named(value.kind, f"splat ({value.typed})", WIDTH, value.known)
+            return self.named_number(value.kind, f"splat ({value.typed})", WIDTH, value.known)
         none = Number(value.kind, "poison", lanes=WIDTH)
         first = self.op("insertelement", value.kind, none, value, x=0)
         return self.op("shufflevector", value.kind, first, none, x=f"<{WIDTH} x i32> zeroinitializer")
@@ -26,36 +26,36 @@ class Vectors(Builder[Value]):
         """The number of one lane."""
         return self.op("extractelement", value.kind, value, x=lane, lanes=1)
 
-    def together(self, values: Iterable[Value], lanes: int = WIDTH, onto: Value | None = None) -> Value:
+    def combine_lanes(self, values: Iterable[Value], lanes: int = WIDTH, onto: Value | None = None) -> Value:
         """Return single numbers in one lane each, from the first on; the remaining lanes come from `onto`."""
         for lane, value in enumerate(values):
-            previous = self.named(value.kind, "poison", lanes) if onto is None else onto
+            previous = self.named_number(value.kind, "poison", lanes) if onto is None else onto
             onto = self.op("insertelement", value.kind, previous, value, x=lane)
         assert onto is not None
         return onto
 
-    def mixed(self, a: Number, b: Number, order: Sequence[int]) -> Value:
+    def shuffle(self, a: Number, b: Number, order: Sequence[int]) -> Value:
         """Return selected lanes of two numbers, by their indices in both."""
         text = f"<{len(order)} x i32> <{', '.join(f'i32 {each}' for each in order)}>"
         return self.op("shufflevector", a.kind, a, b, x=text, lanes=len(order))
 
     def turned(self, value: Number, by: int) -> Value:
         """Return the value rotated by `by` lanes: each lane gets the number of the lane `by` further on."""
-        return self.mixed(value, Number(value.kind, "poison", lanes=WIDTH), [(k + by) % WIDTH for k in range(WIDTH)])
+        return self.shuffle(value, Number(value.kind, "poison", lanes=WIDTH), [(k + by) % WIDTH for k in range(WIDTH)])
 
     def columns(self, rows: Sequence[Number]) -> list[Value]:
         """Return the four columns of eight rows of four numbers, in as few instructions as the lane size allows."""
         eight = range(WIDTH)
         if rows[0].kind == F32:
-            a, b, c, d = (self.mixed(rows[k], rows[k + 4], eight) for k in range(4))
+            a, b, c, d = (self.shuffle(rows[k], rows[k + 4], eight) for k in range(4))
             low, high = (0, 8, 1, 9, 4, 12, 5, 13), (2, 10, 3, 11, 6, 14, 7, 15)
-            halves = [(self.mixed(a, b, order), self.mixed(c, d, order)) for order in (low, high)]
+            halves = [(self.shuffle(a, b, order), self.shuffle(c, d, order)) for order in (low, high)]
             even, odd = (0, 1, 8, 9, 4, 5, 12, 13), (2, 3, 10, 11, 6, 7, 14, 15)
-            return [self.mixed(x, y, order) for x, y in halves for order in (even, odd)]
-        pairs = [self.mixed(rows[k], rows[k + 2], eight) for k in (0, 1, 4, 5)]
+            return [self.shuffle(x, y, order) for x, y in halves for order in (even, odd)]
+        pairs = [self.shuffle(rows[k], rows[k + 2], eight) for k in (0, 1, 4, 5)]
         output = []
         for first in (0, 1):
             order = tuple(e + other for e in range(first, WIDTH, 2) for other in (0, WIDTH))
-            x, y = (self.mixed(pairs[k], pairs[k + 1], order) for k in (0, 2))
-            output.append([self.mixed(x, y, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
+            x, y = (self.shuffle(pairs[k], pairs[k + 1], order) for k in (0, 2))
+            output.append([self.shuffle(x, y, tuple(e + k for e in (0, 1, 4, 5, 8, 9, 12, 13))) for k in (0, 2)])
         return [output[first][half] for half in (0, 1) for first in (0, 1)]

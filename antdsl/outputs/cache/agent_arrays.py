@@ -74,13 +74,13 @@ class AgentArrays:
 
 def write_placed(population: Population, attribute: str, scale: float, out: NDArray[np.float32], threads: int = 1) -> None:
     """Write `P`, `v` or `orient` of agents by id, [n, 3 or 4]."""
-    ranks = population.ranks()
+    ranks = population.id_ranks()
     if attribute == "P":
         work: Callable[[int, int], Any] = partial(frame_loops.agent_positions, population.position, ranks, scale, out)
     elif attribute == "v":
-        work = partial(frame_loops.vectors, _columns(population, "velocity"), ranks, scale, out)
+        work = partial(frame_loops.agent_vectors, _columns(population, "velocity"), ranks, scale, out)
     else:
-        work = partial(frame_loops.orientations, _columns(population, "heading"), _columns(population, "up"), ranks, out)
+        work = partial(frame_loops.agent_orientations, _columns(population, "heading"), _columns(population, "up"), ranks, out)
     parallel.in_parts(work, len(ranks), threads)
 
 
@@ -90,8 +90,8 @@ def write_colours(population: Population, colours: NDArray[np.float32], out: NDA
     if not machines:
         out[:] = colours[0]
         return
-    ranks = population.ranks()
-    work = partial(frame_loops.coloured, colours, population.now[f"{machines[0].name}.state"], ranks, out)
+    ranks = population.id_ranks()
+    work = partial(frame_loops.agent_colours, colours, population.now[f"{machines[0].name}.state"], ranks, out)
     if not all(parallel.in_parts(work, len(ranks), threads, parallel.LIGHT)):
         raise IndexError("a state that a species does not have has no colour")
 
@@ -99,7 +99,7 @@ def write_colours(population: Population, colours: NDArray[np.float32], out: NDA
 def _write_states(population: Population, out: NDArray[np.int16], threads: int) -> None:
     machines = population.plan.machines
     if machines:
-        work = partial(frame_loops.wholes, population.now[f"{machines[0].name}.state"], population.ranks(), out)
+        work = partial(frame_loops.agent_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
         parallel.in_parts(work, len(population), threads, parallel.LIGHT)
     else:
         out[:] = 0
@@ -109,7 +109,7 @@ def write_numbers(population: Population, name: str, factor: float, out: NDArray
     """Write a register of agents times a factor, [n]."""
     of = population.now[name]
     if of.dtype == np.float32:
-        work = partial(frame_loops.numbers, of, population.ranks(), np.float32(factor), out)
+        work = partial(frame_loops.agent_numbers, of, population.id_ranks(), np.float32(factor), out)
         parallel.in_parts(work, len(of), threads, parallel.LIGHT)
     else:
         out[:] = of.take(population.in_id_order()).astype(np.float32, copy=False) * np.float32(factor)

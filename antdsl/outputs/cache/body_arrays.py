@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError, Definition
-from antdsl.bodies.agents.packed import PARTS, digest, packed, read_packed
+from antdsl.bodies.agents.packed import PARTS, digest, pack_definition, unpack_definition
 from antdsl.bodies.files.definition_checks import check_definition
 from antdsl.bodies.files.definition_document import Parts
 from antdsl.diagnostics import Report
@@ -39,7 +39,7 @@ class StoredBodies:
             worn[species] = number
             if number == len(entries):
                 entries.append(BodyEntry(name=names.get(species, body.name)[-500:], digest=digest(body)))
-                arrays |= {f"body.{number}.{part}": array for part, array in packed(body).items()}
+                arrays |= {f"body.{number}.{part}": array for part, array in pack_definition(body).items()}
         return StoredBodies(tuple(entries), worn, arrays)
 
 
@@ -48,15 +48,15 @@ def definition_of(manifest: Manifest, static: Arrays, number: int) -> Definition
     arrays = {part: static[name] for part in PARTS if (name := f"body.{number}.{part}") in static}
     if number >= len(manifest.bodies) or len(arrays) != len(PARTS):
         raise BodyError("is not there")
-    definition = unpacked(arrays)
+    definition = unpack_checked(arrays)
     if digest(definition) != manifest.bodies[number].digest:
         raise BodyError("is not the one that was written")
     return definition
 
 
-def unpacked(arrays: Mapping[str, NDArray[Any]]) -> Definition:
+def unpack_checked(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     """Return the definition from arrays that `packed` made. Raises BodyError for any other arrays: nothing in them is trusted."""
-    definition, report = read_packed(arrays), Report()
+    definition, report = unpack_definition(arrays), Report()
     with np.errstate(all="ignore"):
         if check_definition(Parts(definition, measured=False), report) is None:
             raise BodyError(f"is damaged: of a body, {report.errors[0].message}")

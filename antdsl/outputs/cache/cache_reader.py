@@ -43,7 +43,7 @@ def checkpoint_path(folder: Path, frame: int) -> Path:
     return folder / f"checkpoints/checkpoint.{frame:04d}.npz"
 
 
-def numbered(folder: Path, path: Callable[[Path, int], Path]) -> tuple[list[int], list[Path]]:
+def numbered_files(folder: Path, path: Callable[[Path, int], Path]) -> tuple[list[int], list[Path]]:
     """Return the numbers of the frames or checkpoints in a cache's folder, in order; `path` writes their names. Also return files
     among them with invalid names, such as `frame.12.npz`."""
     place = path(folder, 0).parent
@@ -66,18 +66,18 @@ class Cache:
 
     def frames(self) -> list[int]:
         """The frames that are there, in order."""
-        return numbered(self.folder, frame_path)[0]
+        return numbered_files(self.folder, frame_path)[0]
 
     def checkpoints(self) -> list[int]:
         """The frames that have a checkpoint, in order."""
-        return numbered(self.folder, checkpoint_path)[0]
+        return numbered_files(self.folder, checkpoint_path)[0]
 
     def strays(self) -> list[str]:
         """Return messages on files next to frames and checkpoints that are ignored, each complete without context."""
         return [
             f"`{stray}` is no {what} of this cache: {what}s have names such as `{path(self.folder, 12).name}`"
             for what, path in (("frame", frame_path), ("checkpoint", checkpoint_path))
-            for stray in numbered(self.folder, path)[1]
+            for stray in numbered_files(self.folder, path)[1]
         ]
 
     def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
@@ -98,7 +98,7 @@ class Cache:
                 raise CacheError(f"`{self.folder / STATIC}` has no `{name}`, and the manifest names it")
         return arrays
 
-    def made_from(self) -> list[Path]:
+    def source_files(self) -> list[Path]:
         """Return the files that the scene was made from, as far as they are known and still exist there."""
         if self.manifest.scene_path is None:
             return []
@@ -121,12 +121,14 @@ class Cache:
     def checkpoint_damage(self, frame: int, line: Line | None) -> str | None:
         """Return what is wrong with a checkpoint, or None. It must also be readable. Without a stored hash, changed bytes are not
         detected."""
-        return checkpoint_damage(checkpoint_path(self.folder, frame), frame, line) or _unread(lambda: self.checkpoint(frame))
+        return checkpoint_damage(checkpoint_path(self.folder, frame), frame, line) or _read_problem(
+            lambda: self.checkpoint(frame)
+        )
 
     def static_damage(self) -> str | None:
         """The same for `static.npz`."""
         expected = self.manifest.static
-        return (static_damage(self.folder / STATIC, expected) if expected else None) or _unread(self.static)
+        return (static_damage(self.folder / STATIC, expected) if expected else None) or _read_problem(self.static)
 
 
 def open_cache(folder: Path) -> Cache:
@@ -134,7 +136,7 @@ def open_cache(folder: Path) -> Cache:
     return Cache(folder, read_manifest(folder))
 
 
-def _unread(read: Callable[[], object]) -> str | None:
+def _read_problem(read: Callable[[], object]) -> str | None:
     try:
         read()
     except CacheError as why:

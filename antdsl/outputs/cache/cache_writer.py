@@ -25,13 +25,13 @@ from antdsl.outputs.cache.cache_reader import (
     Cache,
     checkpoint_path,
     frame_path,
-    numbered,
+    numbered_files,
     open_cache,
 )
-from antdsl.outputs.cache.frame_writer import Behind, Scribe
+from antdsl.outputs.cache.frame_writer import BackgroundWorker, Scribe
 from antdsl.outputs.cache.frames import FrameMaker
 from antdsl.outputs.cache.hashes import HASHES, Line, hash_of_static, line_of, read_lines
-from antdsl.outputs.cache.lock import LOCK, FolderLock, Locked
+from antdsl.outputs.cache.lock import LOCK, FolderLock, FolderLocked
 from antdsl.outputs.cache.manifest import MANIFEST, Manifest, ManifestError, Provenance, write_manifest
 from antdsl.outputs.cache.npz import npz_file
 from antdsl.outputs.surface_error import surface_error
@@ -46,7 +46,7 @@ class ForeignFolder(Exception):
     """The folder has files that antdsl did not write; the message names one."""
 
 
-class InTheWay(Exception):
+class PathBlocked(Exception):
     """Error for an object in a cache's folder at the path of one of its files; the message names it."""
 
 
@@ -69,15 +69,15 @@ def prepare_folder(folder: Path, *, force: bool) -> None:
     make_folder(folder)
     for name in ("frames", "checkpoints"):
         if is_link(folder / name):
-            raise InTheWay(f"`{folder / name}` is a link, but a folder is needed there")
+            raise PathBlocked(f"`{folder / name}` is a link, but a folder is needed there")
         if (folder / name).exists() and not (folder / name).is_dir():
-            raise InTheWay(f"`{folder / name}` is a file, but a folder is needed there")
+            raise PathBlocked(f"`{folder / name}` is a file, but a folder is needed there")
     for path in _files(folder):
         if path.is_dir() and not path.is_symlink():
-            raise InTheWay(f"`{path}` is a folder, but a file of the cache is needed there")
+            raise PathBlocked(f"`{path}` is a folder, but a file of the cache is needed there")
     lock = folder / LOCK
     if os.path.lexists(lock) and not stat.S_ISREG(os.lstat(lock).st_mode):
-        raise InTheWay(f"`{lock}` is a link or a device, but a file of the cache is needed there")
+        raise PathBlocked(f"`{lock}` is a link or a device, but a file of the cache is needed there")
     marker = folder / MARKER
     if not marker.exists():
         # a lock or a half-written marker is what a run leaves that was killed as it began
@@ -93,11 +93,11 @@ def _files(folder: Path) -> Iterator[Path]:
     """Yield the existing files that a run removes or writes in a cache's folder."""
     yield from (folder / name for name in (MARKER, LOCK, STATIC, MANIFEST, HASHES))
     for path in (frame_path, checkpoint_path):
-        yield from (path(folder, number) for number in numbered(folder, path)[0])
-    yield from _parts(folder)
+        yield from (path(folder, number) for number in numbered_files(folder, path)[0])
+    yield from _unfinished_files(folder)
 
 
-def _parts(folder: Path) -> list[Path]:
+def _unfinished_files(folder: Path) -> list[Path]:
     """Return unfinished files of killed runs."""
     return [part for place in (folder, folder / "frames", folder / "checkpoints") for part in place.glob(f".*{PART}")]
 
@@ -109,17 +109,17 @@ def clear(folder: Path, above: int | None = None, damaged: Container[int] = ()) 
     file without a hash is ignored."""
     remaining_lines = {} if above is None else {f: line for f, line in read_lines(folder / HASHES).items() if f <= above}
     write_atomically(folder / HASHES, b"".join(line.text(frame) for frame, line in remaining_lines.items()))
-    for number in numbered(folder, frame_path)[0]:
+    for number in numbered_files(folder, frame_path)[0]:
         if above is None or number > above:
             frame_path(folder, number).unlink(missing_ok=True)
-    for number in numbered(folder, checkpoint_path)[0]:
+    for number in numbered_files(folder, checkpoint_path)[0]:
         if above is None or number > above or number in damaged:
             checkpoint_path(folder, number).unlink(missing_ok=True)
-    for part in _parts(folder):
+    for part in _unfinished_files(folder):
         part.unlink(missing_ok=True)
 
 
-class OtherHashes(Exception):
+class DifferentHashes(Exception):
     """Error for a cache with another method of state hashes, so that states cannot be compared."""
 
     def __init__(self, folder: Path) -> None:
@@ -137,7 +137,7 @@ class IntactPart:
     broken: str | None = None
 
 
-def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> IntactPart | None:
+def intact_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -> IntactPart | None:
     """Return the part of the cache that can be continued, or None if there is nothing to continue.
 
     A checkpoint counts only if the file of every frame up to it has the bytes that were written. Raises DifferentInputs if the
@@ -151,7 +151,7 @@ def whole_part(folder: Path, inputs: Mapping[str, str], first: int, last: int) -
     if different:
         raise DifferentInputs(cache.manifest, sorted(different))
     if cache.manifest.state_hash != STATE_HASH:
-        raise OtherHashes(folder)
+        raise DifferentHashes(folder)
     lines, last_frame = cache.lines(), max(cache.frames(), default=None)
     unbroken, broken = first - 1, None
     while unbroken < last and (broken := cache.damage(unbroken + 1, lines.get(unbroken + 1))) is None:
@@ -193,7 +193,7 @@ class CacheWriter:
         self.folder, self.manifest, self._made_with = folder, manifest, made_with
         self._told = report
         self._lock = FolderLock(folder)
-        self._behind: Behind | None = None
+        self._behind: BackgroundWorker | None = None
 
     def __enter__(self) -> CacheWriter:
         self._lock.__enter__()
@@ -209,7 +209,7 @@ class CacheWriter:
         # If a second Ctrl-C interrupted the wait, the folder stays locked: a thread still writes to it.
         self._lock.__exit__(kind, value, trace)
 
-    def _end(self, behind: Behind, *, is_complete: bool) -> None:
+    def _end(self, behind: BackgroundWorker, *, is_complete: bool) -> None:
         try:
             if is_complete:
                 behind.hand_over(self._scribe.sync)
@@ -234,14 +234,14 @@ class CacheWriter:
         last = max(kept_lines, default=None)
         lines = {} if last is None else read_lines(self.folder / HASHES)
         if kept_lines != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:
-            raise Locked(f"another run has written to `{self.folder}` since this one read it")
+            raise FolderLocked(f"another run has written to `{self.folder}` since this one read it")
         clear(self.folder, last, damaged)
         file = npz_file(static)
         write_atomically(self.folder / STATIC, file.parts)
         world.carved = {}
         world.emitted = [] if "emit" in maker.events else None
         self._maker, self._worst = maker, worst
-        self._scribe, self._behind = Scribe(self.folder), Behind(self._told)
+        self._scribe, self._behind = Scribe(self.folder), BackgroundWorker(self._told)
         self._behind.hand_over(partial(self._put_manifest, hash_of_static(file)))
 
     def _put_manifest(self, static: str) -> Mapping[str, Any]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
 from antdsl.outputs.cache.cache_reader import Cache, CacheError
-from antdsl.outputs.cache.solid_pieces import Piece, joined, started
+from antdsl.outputs.cache.solid_pieces import Piece, join_pieces, start_volume
 from antdsl.outputs.cutting import Cut
 from antdsl.outputs.pictures.model import Solid
 
@@ -26,14 +26,14 @@ class _DugSolid:
 
     def surface(self, name: str, offset: NDArray[np.float64], scale: float, cut: Cut | None) -> Solid:
         if cut is not None:
-            opened = cut.opened(self.volume, offset, scale)
-            vertices, faces = joined([(v, f) for _, v, f in opened.surface(changed_only=False)])
+            opened = cut.cut_volume(self.volume, offset, scale)
+            vertices, faces = join_pieces([(v, f) for _, v, f in opened.surface(changed_only=False)])
             positions = (vertices + offset) * scale
-            return Solid(name, positions, faces, "hill", cut.painted(positions, 0.3 * self.volume.bricks.voxel * scale))
+            return Solid(name, positions, faces, "hill", cut.section_colours(positions, 0.3 * self.volume.bricks.voxel * scale))
         changed = {brick: (vertices, faces) for brick, vertices, faces in self.volume.surface()}
         if changed or self.drawn is None:
             self.pieces |= changed
-            vertices, faces = joined(list(self.pieces.values()))
+            vertices, faces = join_pieces(list(self.pieces.values()))
             self.drawn = Solid(name, (vertices + offset) * scale, faces, "hill")
         return self.drawn
 
@@ -43,7 +43,7 @@ class DugSolids:
 
     def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: Cut | None = None) -> None:
         self.cache, self._static, self._cut = cache, static, cut
-        self._kept = {m.name: _DugSolid(started(m.name, static)) for m in cache.manifest.meshes if m.kind == "solid"}
+        self._kept = {m.name: _DugSolid(start_volume(m.name, static)) for m in cache.manifest.meshes if m.kind == "solid"}
         self._at: int | None = None
         self._scale = 1.0 / {"mm": 1.0, "cm": 10.0, "m": 1000.0}[cache.manifest.units]
 
@@ -88,5 +88,5 @@ class DugSolids:
             except (CacheError, ValueError, KeyError):
                 continue
         for name in self._kept:
-            self._kept[name] = _DugSolid(started(name, self._static))
+            self._kept[name] = _DugSolid(start_volume(name, self._static))
         return self.cache.manifest.first - 1

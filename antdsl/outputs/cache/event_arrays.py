@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.vectors import dot
 from antdsl.outputs.cache.places import scene_places
-from antdsl.runtime import World, emitted_since
-from antdsl.runtime.moving.capsules import Crowd, Near, find
+from antdsl.runtime import World, take_emissions
+from antdsl.runtime.moving.capsules import Crowd, NearPairs, find_near_pairs
 
 Arrays = dict[str, NDArray[Any]]
 _CONTACT: Mapping[str, tuple[type[np.generic], tuple[int, ...]]] = {  # fields: type, and shape after the rows
@@ -35,7 +35,7 @@ def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
 
 
 def _emits(world: World, scale: float) -> Arrays:
-    emits = emitted_since(world)
+    emits = take_emissions(world)
     place = scene_places(emits.place, scale)
     return {"species": emits.species, "id": emits.id, "P": place, "N": emits.normal, "event": emits.event}
 
@@ -44,9 +44,9 @@ def _contacts(world: World, scale: float) -> Arrays:
     if len(world) < 2:
         return {name: np.zeros((0, *wide), kind) for name, (kind, wide) in _CONTACT.items()}
     crowd = Crowd(world)
-    near = find(crowd)
+    near = find_near_pairs(crowd)
     pairs = np.flatnonzero(near.gap < 0)
-    i, j, points = near.rows[near.i[pairs]], near.rows[near.j[pairs]], _meeting(near, pairs)
+    i, j, points = near.rows[near.i[pairs]], near.rows[near.j[pairs]], _contact_points(near, pairs)
     direction, gap = near.direction[:, pairs], near.gap[pairs]
     ids = crowd.of(lambda p: p.ids)
     names = sorted(world.populations)
@@ -60,7 +60,7 @@ def _contacts(world: World, scale: float) -> Arrays:
     }  # fmt: skip
 
 
-def _meeting(near: Near, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
+def _contact_points(near: NearPairs, pairs: NDArray[np.intp]) -> NDArray[np.float64]:
     """Return the contact points of two capsules (3, k) mm: midway between their surfaces, on the shortest line between their
     axes."""
     i, j, direction, gap = near.i[pairs], near.j[pairs], near.direction[:, pairs], near.gap[pairs]

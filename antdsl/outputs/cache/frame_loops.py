@@ -44,7 +44,7 @@ def agent_positions(position: Strided2[F64], ranks: Array1[I32], scale: F64, out
 
 
 @kernel
-def vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32], begin: I64, end: I64) -> None:
+def agent_vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32], begin: I64, end: I64) -> None:
     """Write vectors of agents times a factor, each at its rank."""
     x, y, z = of
     for i in range(begin, end):
@@ -55,21 +55,21 @@ def vectors(of: Three, ranks: Array1[I32], scale: F32, out: Array2[F32], begin: 
 
 
 @kernel
-def numbers(of: Array1[F32], ranks: Array1[I32], scale: F32, out: Array1[F32], begin: I64, end: I64) -> None:
+def agent_numbers(of: Array1[F32], ranks: Array1[I32], scale: F32, out: Array1[F32], begin: I64, end: I64) -> None:
     """Write numbers of agents times a factor, each at its rank."""
     for i in range(begin, end):
         out[ranks[i]] = of[i] * scale
 
 
 @kernel
-def wholes(of: Array1[I32], ranks: Array1[I32], out: Array1[I16], begin: I64, end: I64) -> None:
+def agent_integers(of: Array1[I32], ranks: Array1[I32], out: Array1[I16], begin: I64, end: I64) -> None:
     """Write integers of agents, each at its rank."""
     for i in range(begin, end):
         out[ranks[i]] = of[i]
 
 
 @kernel
-def coloured(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> BOOL:
+def agent_colours(colours: Array2[F32], state: Array1[I32], ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> BOOL:
     """Write the state colours of agents, each at its rank. Return whether all states have one."""
     for i in range(begin, end):
         number, k = state[i], ranks[i]
@@ -96,14 +96,14 @@ def playing(
 
 
 @kernel
-def worn(on: Array1[BOOL], ranks: Array1[I32], bit: I64, mask: Array1[I64]) -> None:
+def mark_worn(on: Array1[BOOL], ranks: Array1[I32], bit: I64, mask: Array1[I64]) -> None:
     """Set a bit in the masks, by rank, of the agents that wear a layer."""
     for i in range(ranks.size):
         mask[ranks[i]] |= bit if on[i] else 0
 
 
 @kernel
-def not_zero(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
+def nonzero_cells(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
     """Write the indices of the values that are not 0, and these values; return their number. Both outputs have space for one more
     than all values."""
     count = 0
@@ -116,13 +116,13 @@ def not_zero(values: Array1[F64], cells: Array1[I32], out: Array1[F32]) -> I64:
 
 
 @inlined
-def _signed(size: F64, sign: F64) -> F64:
+def _copy_sign(size: F64, sign: F64) -> F64:
     """Return np.copysign of a size without a sign. The sign of a NaN does not count."""
     return -size if as_bits(sign) < 0 and sign == sign else size
 
 
 @kernel
-def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> None:
+def agent_orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32], begin: I64, end: I64) -> None:
     """Write quaternions x, y, z, w that rotate +x to the heading and +y to the part of `up` perpendicular to it, each at its
     rank.
 
@@ -150,7 +150,7 @@ def orientations(heading: Three, up: Three, ranks: Array1[I32], out: Array2[F32]
         cosine = above / max(size, 1e-30)
         cosine = cosine if size > 1e-12 else 1.0
         bw = np.sqrt(max(0.5 + 0.5 * cosine, 0.0))
-        bx = _signed(np.sqrt(max(0.5 - 0.5 * cosine, 0.0)), beside)
+        bx = _copy_sign(np.sqrt(max(0.5 - 0.5 * cosine, 0.0)), beside)
         k = ranks[i]
         out[k, 0], out[k, 1] = np.float32(aw * bx), np.float32(ay * bw + az * bx)
         out[k, 2], out[k, 3] = np.float32(az * bw - ay * bx), np.float32(aw * bw)
@@ -160,7 +160,7 @@ _BLOCK = 256  # agents: their rows stay in the cache of a core from leg to leg
 
 
 @kernel
-def feet(
+def agent_feet(
     foot_positions: Array3[F64],
     swing: Array2[F32],
     rise: Array1[F32],
@@ -196,7 +196,7 @@ def feet(
 
 
 @kernel
-def farthest(
+def greatest_distance(
     position: Strided2[F64], ground: Strided2[F64], clearance: Array1[F32], size: Array1[F32], begin: I64, end: I64
 ) -> F64:
     """Return the greatest deviation from the clearance of the distance between written positions and their ground, in sizes; NaN

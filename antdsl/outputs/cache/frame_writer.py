@@ -47,7 +47,7 @@ class Scribe:
         write_atomically(path, file.parts, sync=False)
         self._unsynced.append(path)
         self._line(frame, line)
-        return _spent("write", began)
+        return _elapsed("write", began)
 
     def _line(self, frame: int, line: Line) -> None:
         self._last = {frame: line}
@@ -71,18 +71,18 @@ class Scribe:
         sync_files(self._unsynced)
         self._unsynced.clear()
         self._lines.sync()
-        return _spent("sync", began)
+        return _elapsed("sync", began)
 
     def close(self) -> None:
         """Nothing more is written."""
         self._lines.close()
 
 
-def _spent(what: str, since: float) -> Measures:
+def _elapsed(what: str, since: float) -> Measures:
     return {"seconds": {what: time.perf_counter() - since}}
 
 
-class Behind:
+class BackgroundWorker:
     """Does jobs one after the other. `told` receives the result of each in the caller's thread: when the next is passed, or at
     the end.
 
@@ -95,12 +95,12 @@ class Behind:
         self._left = 0  # works of which nothing has been heard
         self._problem: BaseException | None = None
         # a daemon: a disk that never answers must not keep the program from ending; all it could leave is a file beside its place
-        self._thread = threading.Thread(target=self._live, name="cache writer", daemon=True)
+        self._thread = threading.Thread(target=self._run_thread, name="cache writer", daemon=True)
         self._thread.start()
 
     def hand_over(self, work: Work) -> None:
         """Submit work; block while too much is pending."""
-        self._hear(_MOST - 1)
+        self._report_results(_MOST - 1)
         self.check()
         self._left += 1
         self._work.put(work)
@@ -110,14 +110,14 @@ class Behind:
         if self._thread.is_alive():
             self._work.put(None)
             self._thread.join()
-        self._hear(self._left)
+        self._report_results(self._left)
 
     def check(self) -> None:
         """Raise what went wrong."""
         if self._problem is not None:
             raise self._problem
 
-    def _hear(self, most: int) -> None:
+    def _report_results(self, most: int) -> None:
         """Report the results since the last call; block until at most `most` works are pending."""
         while self._left > most or not self._found.empty():
             measures = self._found.get()
@@ -125,7 +125,7 @@ class Behind:
             if measures is not None:
                 self._told(measures)
 
-    def _live(self) -> None:
+    def _run_thread(self) -> None:
         while (work := self._work.get()) is not None:
             measures = None
             if self._problem is None:

@@ -62,7 +62,7 @@ class FrameMaker:
         self.scale = 1.0 / world.setting.unit_mm
         pairs = {name: pair_values(population.plan.registers) for name, population in world.populations.items()}
         self.pairs = {name: {each: slots[each] for each in attributes if each in slots} for name, slots in pairs.items()}
-        only = {each for slots in self.pairs.values() for each in slots} - _plain_numbers(program)
+        only = {each for slots in self.pairs.values() for each in slots} - _plain_number_names(program)
         names = tuple(each for each in attributes if each not in only)
         self.attributes = names if len(world.populations) == 1 or "species" in names else (*names, "species")
         self.factors = {
@@ -81,20 +81,20 @@ class FrameMaker:
         for name in rows:
             arrays |= clips_playing(world.populations[name], threads=world.options.threads)
             arrays |= display_arrays(world.populations[name], world.setting)
-            arrays |= self._pairs(world.populations[name], rows[name])
+            arrays |= self._pair_arrays(world.populations[name], rows[name])
             arrays |= placed_feet(world, name, self.scale)
         for name, field in world.fields.items():
-            arrays[f"field.{name}.cells"], arrays[f"field.{name}.values"] = _not_zero(np.asarray(field.values))
+            arrays[f"field.{name}.cells"], arrays[f"field.{name}.values"] = _nonzero_cells(np.asarray(field.values))
             if "places" in field.added:
                 arrays[f"field.{name}.added"] = scene_places(field.added["places"][:, :3], self.scale)
         for name, items in world.items.items():
             for attribute, amount in items.amounts.items():
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
-        arrays |= self._moved(world, rows)
+        arrays |= self._moving_arrays(world, rows)
         arrays |= events_of(world, self.events, self.scale)
         return arrays if self.pieces is None else arrays | self.pieces.frame(world)
 
-    def _pairs(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
+    def _pair_arrays(self, population: Population, rows: NDArray[np.intp]) -> Arrays:
         """Return the values per pair: both ids and the value."""
         arrays: Arrays = {}
         for name, slots in self.pairs[population.name].items():
@@ -108,7 +108,7 @@ class FrameMaker:
             arrays[f"{of}.other"], arrays[f"{of}.value"] = who[is_known], value[is_known] * factor
         return arrays
 
-    def _moved(self, world: World, rows: Mapping[str, NDArray[np.intp]]) -> Arrays:
+    def _moving_arrays(self, world: World, rows: Mapping[str, NDArray[np.intp]]) -> Arrays:
         """Return the positions of moving meshes and items in this frame, and the velocity of the ground under agents."""
         moves = world.setting.moves
         arrays: Arrays = {}
@@ -123,14 +123,14 @@ class FrameMaker:
         return arrays
 
 
-def _not_zero(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
+def _nonzero_cells(values: NDArray[np.float64]) -> tuple[NDArray[np.int32], NDArray[np.float32]]:
     """Return the cells of a field that are not zero, and their amounts."""
     cells, strength = np.empty(len(values) + 1, np.int32), np.empty(len(values) + 1, np.float32)
-    count = frame_loops.not_zero(values, cells, strength)
+    count = frame_loops.nonzero_cells(values, cells, strength)
     return cells[:count], strength[:count]
 
 
-def _plain_numbers(program: Program) -> set[str]:
+def _plain_number_names(program: Program) -> set[str]:
     """Return names of numbers that at least one species has once per agent."""
     return {a.name for species in program.species.values() for a in species.attributes if a.each is None}
 
@@ -148,16 +148,16 @@ def static_arrays(world: World, setting: Setting) -> Arrays:
             arrays[f"camera.{name}"] = (getattr(setting.camera, name) - world.origin) * scale
         arrays |= {"camera.up": setting.camera.up, "camera.focal": setting.camera.focal}
     for name, field in world.fields.items():
-        arrays[f"field.{name}.P"] = scene_places(_places_at_start(field), scale)
+        arrays[f"field.{name}.P"] = scene_places(_start_positions(field), scale)
     return arrays | arrows(world, scale)
 
 
-def _places_at_start(field: PheromoneField) -> NDArray[np.float64]:
+def _start_positions(field: PheromoneField) -> NDArray[np.float64]:
     cells = field.cells
     return cells.position[: cells.at_start] if isinstance(cells, GrowingCells) else cells.position
 
 
-def describe(
+def make_manifest(
     world: World,
     setting: Setting,
     *,
@@ -200,21 +200,21 @@ def describe(
         checkpoint=checkpoint,
         attributes=attributes,
         species=tuple(
-            _species(world.populations[name], setting, bodies.get(name), worn.get(name), feelers.get(name, ()))
+            _species_entry(world.populations[name], setting, bodies.get(name), worn.get(name), feelers.get(name, ()))
             for name in sorted(world.populations)
         ),
         bodies=definitions,
         meshes=(
-            *(_mesh(setting, name, "surface", looks) for name in setting.surfaces),
-            *(_mesh(setting, name, "obstacle", looks) for name in setting.obstacles),
-            *(_mesh(setting, name, "solid", looks) for name in setting.solids),
+            *(_mesh_entry(setting, name, "surface", looks) for name in setting.surfaces),
+            *(_mesh_entry(setting, name, "obstacle", looks) for name in setting.obstacles),
+            *(_mesh_entry(setting, name, "solid", looks) for name in setting.solids),
         ),
         fields=tuple(FieldEntry(name=name, cell=float(field.cells.cell) * scale) for name, field in world.fields.items()),
         items=tuple(
             ItemsEntry(
                 name=name,
                 names=tuple(item.name for item in items),
-                position=tuple(_scaled(np.subtract(item.position, world.origin), scale) for item in items),
+                position=tuple(_scale_point(np.subtract(item.position, world.origin), scale) for item in items),
                 radius=tuple(item.radius * scale for item in items),
                 attributes=tuple(world.items[name].amounts) if name in world.items else (),
                 moves=name in setting.moves.items,
@@ -227,12 +227,12 @@ def describe(
     )
 
 
-def _scaled(place: NDArray[np.float64], scale: float) -> tuple[float, float, float]:
+def _scale_point(place: NDArray[np.float64], scale: float) -> tuple[float, float, float]:
     x, y, z = (place * scale).tolist()
     return x, y, z
 
 
-def _mesh(
+def _mesh_entry(
     setting: Setting, name: str, kind: Literal["surface", "obstacle", "solid"], looks: Mapping[str, Look | Mapping[str, Look]]
 ) -> MeshEntry:
     off, look = setting.deviations.get(name), looks.get(name)
@@ -255,7 +255,7 @@ def _looks(looks: Look | Mapping[str, Look] | None, names: list[str]) -> tuple[L
     return tuple(looks if isinstance(looks, str) else looks.get(name) for name in names)
 
 
-def _species(
+def _species_entry(
     population: Population, setting: Setting, body: str | None, definition: int | None, feelers: tuple[FeelersEntry, ...]
 ) -> SpeciesEntry:
     machines = tuple(

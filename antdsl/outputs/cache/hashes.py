@@ -15,7 +15,7 @@ from hashlib import sha256
 from pathlib import Path
 
 from antdsl import limits
-from antdsl.bounded import blocks, open_regular, read_bounded
+from antdsl.bounded import open_regular, read_blocks, read_bounded
 from antdsl.outputs.cache.npz import FILE_BYTES
 from antdsl.outputs.cache.zip_parts import NotStored, Stored, read_headers
 
@@ -43,12 +43,12 @@ class Line:
 
 def line_of(frame: int, state: str, file: Stored, feet: str = "") -> Line:
     """Return the line for a frame with a state hash, the hash of its written file, and a hash of its feet."""
-    return Line(state, _hash_headers(_of_frame(frame, state) + _of_feet(feet), file.headers), feet=feet)
+    return Line(state, _hash_headers(_frame_prefix(frame, state) + _feet_prefix(feet), file.headers), feet=feet)
 
 
 def with_checkpoint(frame: int, line: Line, file: Stored) -> Line:
     """Return a frame's line with the hash of its checkpoint file added. It follows the frame's earlier line and replaces it."""
-    return replace(line, checkpoint=_hash_headers(_of_checkpoint(frame, line.hash) + _of_feet(line.feet), file.headers))
+    return replace(line, checkpoint=_hash_headers(_checkpoint_prefix(frame, line.hash) + _feet_prefix(line.feet), file.headers))
 
 
 def hash_of_static(file: Stored) -> str:
@@ -79,25 +79,25 @@ def read_lines(path: Path) -> dict[int, Line]:
 def damage(path: Path, frame: int, line: Line | None) -> str | None:
     """Return what is wrong with the file of a frame, complete without context; None where it has the bytes that were written."""
     if line is None:
-        return _differs(path, b"", "")
-    return _differs(path, _of_frame(frame, line.hash) + _feet_within(line.file, line.feet), line.file)
+        return _hash_problem(path, b"", "")
+    return _hash_problem(path, _frame_prefix(frame, line.hash) + _feet_part(line.file, line.feet), line.file)
 
 
 def checkpoint_damage(path: Path, frame: int, line: Line | None) -> str | None:
     """Return what is wrong with a checkpoint, or None. Damage is not detected in caches without hashes of checkpoints."""
     if line is None:
-        return _differs(path, b"", "")
+        return _hash_problem(path, b"", "")
     if not line.checkpoint and not line.file.startswith(_BY_HEADERS):
         return None
-    return _differs(path, _of_checkpoint(frame, line.hash) + _feet_within(line.checkpoint, line.feet), line.checkpoint)
+    return _hash_problem(path, _checkpoint_prefix(frame, line.hash) + _feet_part(line.checkpoint, line.feet), line.checkpoint)
 
 
 def static_damage(path: Path, expected: str) -> str | None:
     """Return what is wrong with `static.npz`, compared with the hash in the manifest; None where nothing is."""
-    return _differs(path, _STATIC, expected)
+    return _hash_problem(path, _STATIC, expected)
 
 
-def _differs(path: Path, begin: bytes, expected: str) -> str | None:
+def _hash_problem(path: Path, begin: bytes, expected: str) -> str | None:
     """Return how a file differs from its hash, or None. `expected`: the result of `_told` for `begin` and the file's headers, or
     the hash of `begin` and all its bytes; empty if there is none."""
     try:
@@ -109,8 +109,8 @@ def _differs(path: Path, begin: bytes, expected: str) -> str | None:
     try:
         if not expected:
             return f"`{path}` has no hash in `{HASHES}`"
-        held = blocks(handle, FILE_BYTES)
-        actual = _hash_headers(begin, read_headers(held)) if expected.startswith(_BY_HEADERS) else _hashed(begin, held)
+        held = read_blocks(handle, FILE_BYTES)
+        actual = _hash_headers(begin, read_headers(held)) if expected.startswith(_BY_HEADERS) else _hash_bytes(begin, held)
     except NotStored:
         actual = ""
     except OSError as why:
@@ -124,29 +124,29 @@ _STATIC = b"static "
 _BY_HEADERS = "headers:"
 
 
-def _of_frame(frame: int, state: str) -> bytes:
+def _frame_prefix(frame: int, state: str) -> bytes:
     return f"{frame} {state} ".encode()
 
 
-def _of_checkpoint(frame: int, state: str) -> bytes:
+def _checkpoint_prefix(frame: int, state: str) -> bytes:
     return f"checkpoint {frame} {state} ".encode()
 
 
-def _of_feet(feet: str) -> bytes:
+def _feet_prefix(feet: str) -> bytes:
     return f"{feet} ".encode() if feet else b""
 
 
-def _feet_within(expected: str, feet: str) -> bytes:
+def _feet_part(expected: str, feet: str) -> bytes:
     """Return the part of a hash that covers the feet; nothing for a hash of all bytes of a file."""
-    return _of_feet(feet) if expected.startswith(_BY_HEADERS) else b""
+    return _feet_prefix(feet) if expected.startswith(_BY_HEADERS) else b""
 
 
 def _hash_headers(begin: bytes, headers: Iterable[bytes]) -> str:
     """Return the hash of `begin` and the headers of a file, with the name of the method in front."""
-    return _BY_HEADERS + _hashed(begin, headers)
+    return _BY_HEADERS + _hash_bytes(begin, headers)
 
 
-def _hashed(begin: bytes, data: Iterable[bytes]) -> str:
+def _hash_bytes(begin: bytes, data: Iterable[bytes]) -> str:
     hashed = sha256(begin)
     for part in data:
         hashed.update(part)

@@ -19,7 +19,7 @@ _AGAIN = 0.01
 _HELD = (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)  # what systems say of a lock that another process holds
 
 
-class Locked(Exception):
+class FolderLocked(Exception):
     """Another run writes to the folder; the message has its process id."""
 
 
@@ -47,7 +47,7 @@ class FolderLock:
         try:
             self._wait(handle)
             if not self._is_own(handle):
-                _leave(handle)
+                _unlock(handle)
                 os.close(handle)
                 return None
             with name_failures(self.path):
@@ -55,7 +55,7 @@ class FolderLock:
                 os.lseek(handle, 0, os.SEEK_SET)
                 os.write(handle, f"{os.getpid()} {_host()}\n".encode())
         except BaseException:
-            _leave(handle)
+            _unlock(handle)
             os.close(handle)
             raise
         return handle
@@ -78,7 +78,7 @@ class FolderLock:
         began = time.monotonic()
         while True:
             try:
-                _take(handle)
+                _try_lock(handle)
                 return
             except OSError as why:
                 if why.errno not in _HELD:  # a file system without locks, such as a network disk without its lock service
@@ -86,7 +86,7 @@ class FolderLock:
                 process, host = _holder(handle)
                 if not _has_ended(process, host) or time.monotonic() - began > _PATIENCE:
                     where = f" of {host}" if host not in ("", _host()) else ""
-                    raise Locked(f"process {process or '?'}{where} is writing to `{self.path.parent}`") from None
+                    raise FolderLocked(f"process {process or '?'}{where} is writing to `{self.path.parent}`") from None
             time.sleep(_AGAIN)
 
     def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
@@ -94,7 +94,7 @@ class FolderLock:
             handle, self._handle = self._handle, None
             with suppress(OSError):  # what the file says is for people only
                 os.ftruncate(handle, 0)
-            _leave(handle)
+            _unlock(handle)
             os.close(handle)
 
 
@@ -130,7 +130,7 @@ def _has_ended(holder: str, host: str) -> bool:
     return words.rpartition(")")[2].split()[:1] == ["Z"]
 
 
-def _take(handle: int) -> None:
+def _try_lock(handle: int) -> None:
     """Lock an open file without waiting; OSError when another process has it."""
     if os.name == "nt":
         import msvcrt
@@ -142,7 +142,7 @@ def _take(handle: int) -> None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
 
 
-def _leave(handle: int) -> None:
+def _unlock(handle: int) -> None:
     """Unlock for all processes that share this open file. A forked process of another run may share it, and would still hold the
     lock."""
     if os.name != "nt":

@@ -176,8 +176,8 @@ class Manifest(Part):
     """The description of a cache. `inputs` has a hash for every input of the frames. `fps` is a fraction, `24/1`. `first` and
     `last` are the requested frames; `events` are the names that frames count. `static` is the hash of `static.npz`, None if none
     was stored. `state_hash` is the method of state hashes, a `STATE_HASH`. `scene_path` leads from the cache's folder to the
-    scene's file, if `way_to` knows a path. All positions are relative to `origin` (scene units); in caches without it, to the
-    zero point."""
+    scene's file, if `relative_path` knows a path. All positions are relative to `origin` (scene units); in caches without it, to
+    the zero point."""
 
     format: Literal[1] = 1
     antdsl: Word
@@ -211,7 +211,7 @@ class ManifestError(Exception):
     """Reason why a folder is not a cache; the message is complete without context."""
 
 
-def way_to(file: Path, folder: Path) -> str | None:
+def relative_path(file: Path, folder: Path) -> str | None:
     """Return the path from a folder to a file, with `/` and `..`; None where it is too long for a manifest.
 
     Also None where it would pass the root of the file system and so name the machine's own folders."""

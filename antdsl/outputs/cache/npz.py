@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bounded import TooLarge, open_bounded
-from antdsl.outputs.cache.zip_parts import Form, Stored, form_of, stored
+from antdsl.outputs.cache.zip_parts import MemberForm, Stored, form_of, stored_file
 from antdsl.scene.geometry.arrays import DTYPES, MAGIC, ArrayFileError, parse_npy, read_archive
 
 __all__ = ["ArrayFileError", "npz_file", "parse_npy", "read_npz", "to_bytes", "to_member"]
@@ -35,10 +35,10 @@ def to_bytes(arrays: Mapping[str, NDArray[Any]]) -> bytes:
 def npz_file(arrays: Mapping[str, NDArray[Any]]) -> Stored:
     """Return the NPZ file in parts. The parts of arrays share the arrays' memory, which must not change until they have been
     used."""
-    return stored(_member(name, array) for name, array in arrays.items())
+    return stored_file(_member(name, array) for name, array in arrays.items())
 
 
-def _member(name: str, array: NDArray[Any]) -> tuple[Form, memoryview]:
+def _member(name: str, array: NDArray[Any]) -> tuple[MemberForm, memoryview]:
     (form, kind), of = _form(name, array.dtype, array.shape), array.data
     if not kind and of.nbytes and of.c_contiguous:
         return form, of.cast("B")
@@ -46,10 +46,10 @@ def _member(name: str, array: NDArray[Any]) -> tuple[Form, memoryview]:
 
 
 @lru_cache(1024)  # a frame's arrays are mostly of the shapes that they had before
-def _form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[Form, str]:
+def _form(name: str, dtype: np.dtype[Any], shape: tuple[int, ...]) -> tuple[MemberForm, str]:
     """Return the form of a member with a name, type and shape, and its type in the file. The type is empty where arrays have the
     same bytes in memory."""
-    kind = _kind(name, dtype)
+    kind = _type_code(name, dtype)
     as_it_is = dtype.isnative and dtype.str == kind
     return form_of(f"{name}.npy", _header(kind, shape), dtype.itemsize * prod(shape)), "" if as_it_is else kind
 
@@ -59,14 +59,14 @@ def to_member(
 ) -> None:
     """Add an array of a type and shape to an open NPZ file. Its consecutive parts are in memory one at a time."""
     entry = zipfile.ZipInfo(f"{name}.npy", _STAMP)
-    kind = _kind(name, dtype)
+    kind = _type_code(name, dtype)
     with file.open(entry, "w", force_zip64=True) as member:
         member.write(_header(kind, shape))
         for part in parts:
             member.write(np.asarray(part, order="C").astype(kind, copy=False).tobytes())
 
 
-def _kind(name: str, dtype: np.dtype[Any]) -> str:
+def _type_code(name: str, dtype: np.dtype[Any]) -> str:
     """What a type is in a file."""
     kind = dtype.newbyteorder("<").str
     if kind not in DTYPES:

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.bodies.agents.driving import Driven
+from antdsl.bodies.agents.driving import DrivenPose
 from antdsl.bodies.agents.leg_ik import PlacedFeet
 from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS, MachineClips
-from antdsl.bodies.agents.varied_bodies import Draws
+from antdsl.bodies.agents.varied_bodies import VariationDraws
 from antdsl.numerics import parallel
 from antdsl.numerics.randomness import uniform
 from antdsl.outputs.cache import frame_loops
@@ -73,7 +73,7 @@ def _told(
     if rows is None:
         values = {field: np.empty(len(population), _REGISTERS[field][1]) for field in _USUAL}
         of = [tuple([arrays[field] for field in names]) for arrays in (now, values) for names in (_CLIPS, _SHARES)]
-        work = partial(frame_loops.playing, of[0], of[1], population.ranks(), of[2], of[3])
+        work = partial(frame_loops.playing, of[0], of[1], population.id_ranks(), of[2], of[3])
         parallel.in_parts(work, len(population), threads)
     rows = population.in_id_order() if rows is None else rows
     for field in fields[len(values) :]:
@@ -110,8 +110,8 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
     n, legs = len(feet), feet.legs
     place, down = np.empty((n, legs, 3), np.float32), np.empty((n, legs), np.uint8)
     rise, tilt = np.empty(n, np.float32), np.empty((n, 4), np.float32)
-    of = parallel.plain(feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope)  # leg by leg, as they mostly lie
-    work = partial(frame_loops.feet, *of, scale, place.reshape(n, 3 * legs), down, rise, tilt)
+    of = parallel.contiguous(feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope)  # leg by leg, as they mostly lie
+    work = partial(frame_loops.agent_feet, *of, scale, place.reshape(n, 3 * legs), down, rise, tilt)
     parallel.in_parts(work, n, world.options.threads)
     values: dict[str, NDArray[Any]] = {"P": place, "down": down, "phase": feet.phase.copy(), "rise": rise, "tilt": tilt}
     return {f"feet.{species}.{name}": array for name, array in values.items()}
@@ -143,8 +143,8 @@ def display_arrays(population: Population, setting: Setting, subset: NDArray[np.
     if layers:
         mask = np.zeros(len(rows), np.uint64)
         for layer in plan.wears:
-            _put_on(population, now[f"wear#{layer}"], subset, _bit(layers, layer), mask)
-        for worn in _by_scene(population, rows, setting, layers):
+            _set_layer_bit(population, now[f"wear#{layer}"], subset, _bit(layers, layer), mask)
+        for worn in _scene_layer_masks(population, rows, setting, layers):
             mask |= worn
         arrays[f"wears.{name}"] = mask
     for channel in plan.channels:
@@ -158,12 +158,12 @@ def display_arrays(population: Population, setting: Setting, subset: NDArray[np.
     return arrays
 
 
-def _put_on(
+def _set_layer_bit(
     population: Population, on: NDArray[np.bool_], subset: NDArray[np.intp] | None, bit: np.uint64, mask: NDArray[np.uint64]
 ) -> None:
     """Set a bit in the masks of the agents that wear a layer: of those at some rows, or of all by id by default."""
     if subset is None:
-        frame_loops.worn(on, population.ranks(), bit.view(np.int64), mask.view(np.int64))
+        frame_loops.mark_worn(on, population.id_ranks(), bit.view(np.int64), mask.view(np.int64))
     else:
         mask |= np.where(on[subset], bit, np.uint64(0))
 
@@ -181,17 +181,17 @@ def layers_of(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
     return tuple(layer for k, layer in enumerate(species.wears) if mask >> k & 1)
 
 
-def driven(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> Driven:
+def driven_values(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> DrivenPose:
     """Return the channels and looks that states set in a frame, for the agents of a species by id, and the differences between
     their bodies. Data that the frame lacks is left out."""
     count = len(ids)
     channels = {name: arrays.get(f"channels.{species.name}.{name}") for name in species.channels}
     looks = {name: arrays.get(f"looks.{species.name}.{name}") for name in species.looks}
     lean = arrays.get(f"leans.{species.name}")
-    return Driven(
+    return DrivenPose(
         {name: np.asarray(v, np.float32) for name, v in channels.items() if v is not None and v.shape == (count,)},
         {name: np.asarray(v, np.float32) for name, v in looks.items() if v is not None and v.shape == (count, 3)},
-        Draws(ids, seed, species.name),
+        VariationDraws(ids, seed, species.name),
         None if lean is None or lean.shape != (count, 2) else np.asarray(lean, np.float32),
     )
 
@@ -200,7 +200,7 @@ def _crowds(population: Population, setting: Setting) -> Iterator[CrowdData]:
     return (crowd for crowd in setting.crowds if crowd.species == population.name)
 
 
-def _by_scene(
+def _scene_layer_masks(
     population: Population, rows: NDArray[np.intp], setting: Setting, layers: tuple[str, ...]
 ) -> Iterator[NDArray[np.uint64]]:
     """Yield the layers that the scene gives agents: one per part, drawn by the agent's id and the scene's seed for its lifetime.

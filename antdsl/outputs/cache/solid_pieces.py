@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, Bricks
-from antdsl.runtime import World, dug_since
+from antdsl.runtime import World, take_dug_balls
 
 Arrays = dict[str, NDArray[Any]]
 Piece = tuple[NDArray[np.float64], NDArray[np.int32]]
@@ -32,7 +32,7 @@ class PieceMaker:
     def frame(self, world: World) -> Arrays:
         """Arrays of the frame that the world stands at."""
         arrays: Arrays = {}
-        dug_now = dug_since(world)
+        dug_now = take_dug_balls(world)
         for name, volume in world.solids.items():
             if name in dug_now:
                 arrays[f"solid.{name}.balls"] = dug_now[name]
@@ -42,7 +42,7 @@ class PieceMaker:
             dug |= {brick: (vertices, faces) for brick, vertices, faces in volume.surface()}
             if dug:
                 arrays[f"mesh.{name}.changed"] = np.array(sorted(dug), np.int32)
-                arrays |= _joined(name, dug, self.scale)
+                arrays |= _join_arrays(name, dug, self.scale)
         return arrays
 
 
@@ -59,11 +59,11 @@ def start_pieces(world: World, scale: float) -> Arrays:
             }.items()
         }  # fmt: skip
         pieces = {brick: (vertices, faces) for brick, vertices, faces in volume.surface(changed_only=False)}
-        arrays |= _joined(name, pieces, scale)
+        arrays |= _join_arrays(name, pieces, scale)
     return arrays
 
 
-def started(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
+def start_volume(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
     """A solid as it was before anybody dug it."""
 
     def read_array(key: str) -> NDArray[Any]:
@@ -75,13 +75,13 @@ def started(name: str, static: Mapping[str, NDArray[Any]]) -> Volume:
     bricks = Bricks(
         read_array("origin"), float(read_array("voxel")), (a, b, c), least, most, read_array("table"), values, len(values) // CUBE
     )
-    bricks.begin()
+    bricks.record_start()
     return Volume(bricks)
 
 
-def _joined(name: str, pieces: Mapping[int, Piece], scale: float) -> Arrays:
+def _join_arrays(name: str, pieces: Mapping[int, Piece], scale: float) -> Arrays:
     order = sorted(pieces)
-    vertices, faces = joined([pieces[brick] for brick in order])
+    vertices, faces = join_pieces([pieces[brick] for brick in order])
     return {
         f"mesh.{name}.vertices": (vertices + 0.0) * scale,
         f"mesh.{name}.faces": faces,
@@ -89,7 +89,7 @@ def _joined(name: str, pieces: Mapping[int, Piece], scale: float) -> Arrays:
     }
 
 
-def joined(pieces: list[Piece]) -> Piece:
+def join_pieces(pieces: list[Piece]) -> Piece:
     """One mesh of several."""
     shift = np.cumsum([0, *(len(vertices) for vertices, _ in pieces)])
     faces = [faces + np.int32(start) for (_, faces), start in zip(pieces, shift, strict=False)]

@@ -47,7 +47,7 @@ class Stored:
     headers: Sequence[bytes]
 
 
-def stored(members: Iterable[tuple[Form, memoryview]]) -> Stored:
+def stored_file(members: Iterable[tuple[MemberForm, memoryview]]) -> Stored:
     """Return a file with these members, in order: for each its form, and its content after the head. The content is not copied,
     so it must not change until the parts have been used."""
     parts: list[bytes | memoryview] = []
@@ -68,7 +68,7 @@ def stored(members: Iterable[tuple[Form, memoryview]]) -> Stored:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Form:
+class MemberForm:
     """Data shared by all members with the same name, head and size: the CRC-32 of the head, and the fixed bytes of their header
     and directory entry. These are the bytes before and after the CRC-32 of the member, and in the entry also around its
     offset."""
@@ -82,20 +82,20 @@ class Form:
     entry: tuple[bytes, bytes, bytes]
 
 
-def form_of(name: str, head: bytes, rest: int) -> Form:
+def form_of(name: str, head: bytes, rest: int) -> MemberForm:
     """The form of members with `rest` bytes behind the head."""
     words, size = name.encode(), len(head) + rest
     flags = 0 if name.isascii() else _UTF8
-    size_field, version, extra = (size, _PLAIN, b"") if size <= LIMIT else (_ELSEWHERE, _LONG, _longs(size, size))
+    size_field, version, extra = (size, _PLAIN, b"") if size <= LIMIT else (_ELSEWHERE, _LONG, _long_field(size, size))
     local = (
         _LOCAL.pack(_MEMBER, version, flags, 0, _TIME, _DATE, 0, size_field, size_field, len(words), len(extra)) + words + extra
     )
-    prefix, suffix = _around(_central(words, flags, size, 0), _CENTRAL_CHECK)
-    entry = prefix, *_around(suffix, _PLACE - _CENTRAL_CHECK - 4)
-    return Form(head, size, crc32(head), words, flags, _around(local, _LOCAL_CHECK), entry)
+    prefix, suffix = _split_around(_central(words, flags, size, 0), _CENTRAL_CHECK)
+    entry = prefix, *_split_around(suffix, _PLACE - _CENTRAL_CHECK - 4)
+    return MemberForm(head, size, crc32(head), words, flags, _split_around(local, _LOCAL_CHECK), entry)
 
 
-def _around(record: bytes, at: int) -> tuple[bytes, bytes]:
+def _split_around(record: bytes, at: int) -> tuple[bytes, bytes]:
     return record[:at], record[at + 4 :]
 
 
@@ -103,16 +103,16 @@ def read_headers(blocks: Iterator[bytes]) -> Iterator[bytes]:
     """Yield the headers of a file that arrives in blocks, piece by piece, and check the contents in between by their CRC-32.
     Raises NotStored where one differs, or for a file that `stored` cannot have made."""
     file = _Pieces(blocks)
-    while (mark := file.upto(len(_MEMBER))) == _MEMBER:
-        local = mark + file.exactly(_LOCAL.size - len(_MEMBER))
+    while (mark := file.read_up_to(len(_MEMBER))) == _MEMBER:
+        local = mark + file.read_exactly(_LOCAL.size - len(_MEMBER))
         check, size, _, words, extra = _LOCAL.unpack(local)[6:]
-        tail = file.exactly(words + extra)
+        tail = file.read_exactly(words + extra)
         yield local + tail
         if size == _ELSEWHERE:
             if extra != _TWO_LONGS.size:
                 raise NotStored
             size = _TWO_LONGS.unpack(tail[words:])[2]
-        if file.check(size) != check:
+        if file.read_crc(size) != check:
             raise NotStored
     yield mark
     yield from file.rest()
@@ -125,32 +125,32 @@ class _Pieces:
         self._blocks = blocks
         self._left = memoryview(b"")
 
-    def _next(self, most: int) -> memoryview:
+    def _read_next(self, most: int) -> memoryview:
         """Return at least one and at most `most` of the next bytes; none at the end."""
         if not self._left:
             self._left = memoryview(next(self._blocks, b""))
         block, self._left = self._left[:most], self._left[most:]
         return block
 
-    def upto(self, count: int) -> bytes:
+    def read_up_to(self, count: int) -> bytes:
         """The next bytes, so many where there are."""
         data = b""
-        while len(data) < count and (piece := self._next(count - len(data))):
+        while len(data) < count and (piece := self._read_next(count - len(data))):
             data += piece
         return data
 
-    def exactly(self, count: int) -> bytes:
+    def read_exactly(self, count: int) -> bytes:
         """Return `count` bytes. Raises NotStored where there are fewer."""
-        data = self.upto(count)
+        data = self.read_up_to(count)
         if len(data) < count:
             raise NotStored
         return data
 
-    def check(self, count: int) -> int:
+    def read_crc(self, count: int) -> int:
         """Return the CRC-32 of `count` bytes. Raises NotStored where there are fewer."""
         checksum = 0
         while count:
-            piece = self._next(count)
+            piece = self._read_next(count)
             if not piece:
                 raise NotStored
             checksum, count = crc32(piece, checksum), count - len(piece)
@@ -162,12 +162,12 @@ class _Pieces:
         yield from self._blocks
 
 
-def _entry(form: Form, check: bytes, at: int) -> bytes:
+def _entry(form: MemberForm, check: bytes, at: int) -> bytes:
     """Return the directory entry of a member that begins at an offset."""
     if at <= LIMIT:
         prefix, suffix, rest = form.entry
         return prefix + check + suffix + at.to_bytes(4, "little") + rest
-    prefix, suffix = _around(_central(form.words, form.flags, form.size, at), _CENTRAL_CHECK)
+    prefix, suffix = _split_around(_central(form.words, form.flags, form.size, at), _CENTRAL_CHECK)
     return prefix + check + suffix
 
 
@@ -177,7 +177,7 @@ def _central(words: bytes, flags: int, size: int, at: int) -> bytes:
     size_field, place = (_ELSEWHERE if longs else size), at
     if at > LIMIT:
         longs, place = [*longs, at], _ELSEWHERE
-    version, extra = (_LONG, _longs(*longs)) if longs else (_PLAIN, b"")
+    version, extra = (_LONG, _long_field(*longs)) if longs else (_PLAIN, b"")
     return _CENTRAL.pack(
         b"PK\1\2", version, _SYSTEM, version, 0, flags, 0, _TIME, _DATE, 0, size_field, size_field,
         len(words), len(extra), 0, 0, 0, _ATTRIBUTES, place,
@@ -194,6 +194,6 @@ def _end(count: int, size: int, at: int) -> bytes:
     return records + _END.pack(b"PK\5\6", 0, 0, count, count, size, at, 0)
 
 
-def _longs(*numbers: int) -> bytes:
+def _long_field(*numbers: int) -> bytes:
     """The extra field with numbers of eight bytes."""
     return Struct(f"<2H{len(numbers)}Q").pack(1, 8 * len(numbers), *numbers)

@@ -6,13 +6,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.body import orientation, rotation, vertex_normals
+from antdsl.bodies.body import orientation, rotation_matrices, vertex_normals
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.shapes import placed
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.light import Sun, decoded
+from antdsl.outputs.pictures.light import Sun, decode_srgb
 from antdsl.outputs.pictures.model import Crowd, Item, Picture
 from antdsl.outputs.pictures.setting import Setting
 from antdsl.outputs.pictures.shading_rows import Floats
@@ -81,7 +81,7 @@ class Actors:
     throw: float
     boxes: tuple[Array, Array]
 
-    def shading(self, points: Floats, sun: Sun, reaches: Sequence[float]) -> list[NDArray[np.bool_]]:
+    def may_be_shaded(self, points: Floats, sun: Sun, reaches: Sequence[float]) -> list[NDArray[np.bool_]]:
         """Return, for each of `reaches`, which points (n, 3) may be in the shadow of a box enlarged by that length on all sides.
         Points and boxes are projected along the sun's direction onto a map perpendicular to it."""
         low, high = self.boxes
@@ -104,13 +104,13 @@ class Actors:
         for reach in reaches:
             first = np.floor((middle - half - reach - least) / cell).astype(np.int64) + 1
             last = np.floor((middle + half + reach - least) / cell).astype(np.int64) + 4
-            covered = _covered(first, np.minimum(last, _SHADOW_CELLS), _SHADOW_CELLS, _SHADOW_CELLS)
+            covered = _cells_in_rectangles(first, np.minimum(last, _SHADOW_CELLS), _SHADOW_CELLS, _SHADOW_CELLS)
             covered[:, [0, -1]] = covered[[0, -1]] = False  # what lies outside of the map
             masks.append(covered.reshape(-1)[cells])
         return masks
 
 
-def actors(
+def make_actors(
     picture: Picture, view: View, least: float = 0.0, ground: Setting | None = None, blur: float = 0.0, enlarged: float = 3.0
 ) -> Actors:
     """Return the moving part of `picture`. Large agents in `view` use close-up bodies, agents of a few pixels use few triangles,
@@ -131,17 +131,17 @@ def actors(
             local = (solid.vertices - place).astype(np.float32)[None]
             parts.append(Part(local, place, None, solid.faces, solid.normal, solid.colour, solid.gloss))
     widest = max((item.radius for item in picture.items), default=0.0)
-    moments = _moments(parts, view, blur)
-    meshes = [_joined(parts, time_offset) for time_offset in moments]
+    moments = _shutter_times(parts, view, blur)
+    meshes = [_join_parts(parts, time_offset) for time_offset in moments]
     boxes = _boxes(parts, blur)
     rays = tuple(PictureRays(mesh.vertices, mesh.faces) for mesh in meshes)
     mesh = meshes[len(meshes) // 2]
     tall, size = max(20 * longest, 8 * widest), max(longest, 0.3 * widest) if parts else 0.0
     throw = 20 * longest if longest > 0 else tall
-    return Actors(rays, mesh, *_near(boxes, view), tall, size, throw, boxes)
+    return Actors(rays, mesh, *_covered_pixels(boxes, view), tall, size, throw, boxes)
 
 
-def _moments(parts: list[Part], view: View, blur: float) -> list[float]:
+def _shutter_times(parts: list[Part], view: View, blur: float) -> list[float]:
     """Return the sample times of the open shutter, in frames after the picture's own: about one per pixel of the longest
     motion."""
     if blur <= 0:
@@ -157,7 +157,7 @@ def _moments(parts: list[Part], view: View, blur: float) -> list[float]:
     return [blur * (k + 0.5) / count for k in range(count)]
 
 
-def _joined(parts: list[Part], time_offset: float) -> Mesh:
+def _join_parts(parts: list[Part], time_offset: float) -> Mesh:
     if not parts:
         none = np.zeros((0, 3), np.float32)
         return Mesh(none.astype(np.float64), np.zeros((0, 3), np.int32), none, none, none[:, 0])
@@ -185,7 +185,7 @@ def _boxes(parts: list[Part], blur: float) -> tuple[Array, Array]:
     return np.concatenate(lows), np.concatenate(highs)
 
 
-def _near(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def _covered_pixels(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """Return the pixels (h · w,) where a box is visible, and those with a box of a few pixels, which rays through pixel centres
     may miss."""
     high, wide = view.height, view.width
@@ -202,12 +202,12 @@ def _near(boxes: tuple[Array, Array], view: View) -> tuple[NDArray[np.bool_], ND
     def covered(which: NDArray[np.bool_], margin: float) -> NDArray[np.bool_]:
         first = np.clip(np.floor(low[which] - margin), 0, (wide, high)).astype(np.int64)
         last = np.clip(np.ceil(high_[which] + margin) + (margin > 0), 0, (wide, high)).astype(np.int64)
-        return _covered(first, last, wide, high).reshape(-1)
+        return _cells_in_rectangles(first, last, wide, high).reshape(-1)
 
     return covered(np.asarray(is_ahead), 2.0), covered(np.asarray(few), 0.0)
 
 
-def _covered(first: NDArray[np.int64], last: NDArray[np.int64], wide: int, high: int) -> NDArray[np.bool_]:
+def _cells_in_rectangles(first: NDArray[np.int64], last: NDArray[np.int64], wide: int, high: int) -> NDArray[np.bool_]:
     """Which cells (high, wide) of a grid lie in any of some rectangles, from columns and rows `first` (n, 2) to before `last`."""
     count = np.zeros((high + 1, wide + 1), np.int32)
     for x, y, sign in ((first, first, 1), (last, last, 1), (first, last, -1), (last, first, -1)):
@@ -222,23 +222,23 @@ def _crowd(crowd: Crowd, view: View, least: float, enlarged: float) -> list[Part
     scale = np.where(finite, scale, 1.0)
     depth = view.project(position)[1]
     # What is a little outside still throws its shadow into the picture.
-    is_visible = finite & (depth > -20 * scale) & _in_sight(position, depth, 20 * scale, view)
+    is_visible = finite & (depth > -20 * scale) & _is_in_sight(position, depth, 20 * scale, view)
     near = np.maximum(view.distance(position), 1e-9)
-    pixels = scale / view.pixel_at(near)
+    pixels = scale / view.pixel_size(near)
     large = np.flatnonzero(is_visible & (pixels >= CLOSE))
     most = min(MOST_CLOSE, MOST_TRIANGLES // max(1, len(crowd.worn.fine.faces))) if len(large) else 0
     close = np.sort(large[np.argsort(-pixels[large], kind="stable")[:most]])
-    sizes = np.minimum(np.maximum(scale, least * view.pixel_at(near)), enlarged * scale)
-    tiny = is_visible & (sizes < DISTANT * view.pixel_at(near))
+    sizes = np.minimum(np.maximum(scale, least * view.pixel_size(near)), enlarged * scale)
+    tiny = is_visible & (sizes < DISTANT * view.pixel_size(near))
     far = np.setdiff1d(np.flatnonzero(is_visible & ~tiny), close)
     # Of a body a few pixels long the parts with colours of their own would hide the state's.
     plain = np.where(pixels < CLOSE, np.clip(1 - pixels / CLOSE, 0.0, 1.0) ** 2, 0.0)
     levels = (("fine", close), ("coarse", far), ("distant", np.setdiff1d(np.flatnonzero(tiny), close)))
     bodies = [(getattr(crowd.worn, level), rows) for level, rows in levels if len(rows)]
-    return [_posed(crowd, body, rows, sizes, plain) for body, rows in bodies if len(body.faces)]
+    return [_pose_bodies(crowd, body, rows, sizes, plain) for body, rows in bodies if len(body.faces)]
 
 
-def _posed(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, plain: Array) -> Part:
+def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, plain: Array) -> Part:
     """Return the bodies of some agents, each posed by what it plays. For all agents of the crowd, `size` (n,) is their length.
     `plain` (n,) is how much coloured parts take the agent's colour too."""
     turn, long = _turn(crowd, rows), size[rows].astype(np.float32)[:, None, None]
@@ -247,7 +247,7 @@ def _posed(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, 
     if crowd.next_crowd is not None:
         later, _ = crowd.next_crowd.posed(body, rows)
         then = np.matmul(later * long, _turn(crowd.next_crowd, rows)), np.asarray(crowd.next_crowd.position, np.float64)[rows]
-    bright = decoded(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
+    bright = decode_srgb(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint[None, :, None]
     tint = tint + (1 - tint) * (0.6 * plain[rows].astype(np.float32))[:, None, None]
     colour = bright * tint + body.colours(crowd.driven.rows(rows)) * (1 - tint)
@@ -257,7 +257,7 @@ def _posed(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: Array, 
 
 def _turn(crowd: Crowd, rows: NDArray[np.int64]) -> Floats:
     """Return matrices (n, 3, 3) that rotate rows of vertices as agents are rotated."""
-    return np.swapaxes(rotation(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
+    return np.swapaxes(rotation_matrices(np.asarray(crowd.orient, np.float64)[rows]).astype(np.float32), 1, 2)
 
 
 def _part(
@@ -275,7 +275,7 @@ def _part(
     return Part(local, place, then, every, normal.reshape(-1, 3), np.ascontiguousarray(colour).reshape(-1, 3), shine)
 
 
-def _in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:
+def _is_in_sight(points: Array, depth: Array, margin: Array, view: View) -> NDArray[np.bool_]:
     """Return whether a ball of radius `margin` around each point intersects the view pyramid."""
     offset = points - view.eye
     inside = np.ones(len(points), np.bool_)
@@ -290,21 +290,21 @@ def item_mesh(item: Item, up: tuple[float, float, float], ground: Setting | None
     vertices, faces, colour = placed(item.shape)
     size = item.radius * min(max(item.left, 0.0), 1.0) ** (1 / 3)
     upward = np.array([up]) / np.linalg.norm(up)
-    turn = rotation(orientation(np.array([[0.83, 0.31, 0.46]]), upward))[0]
+    turn = rotation_matrices(orientation(np.array([[0.83, 0.31, 0.46]]), upward))[0]
     points = (vertices * size) @ turn.T + np.asarray(item.position, np.float64)
     if item.shape == "mound" and ground is not None:
         points += _slump(points, np.asarray(item.position, np.float64), upward[0], size, ground)[:, None] * upward
-    shade, gloss = _made_of(item, decoded(colour))
+    shade, gloss = _item_material(item, decode_srgb(colour))
     return Mesh(points, faces, vertex_normals(points, faces), shade, np.full(len(points), gloss, np.float32))
 
 
-def _made_of(item: Item, colour: Floats) -> tuple[Floats, float]:
+def _item_material(item: Item, colour: Floats) -> tuple[Floats, float]:
     """Return linear colours (n, 3) and gloss of an item, by its material."""
     if item.look is None:
         return colour, 0.0 if item.shape == "mound" else 0.5
     plain, gloss = {
         "metal": (looks.STEEL, METAL),
-        "soil": (decoded((0.55, 0.42, 0.30)), 0.0),
+        "soil": (decode_srgb((0.55, 0.42, 0.30)), 0.0),
         "leaf": (looks.GREEN, 0.4),
         "light": (looks.LIT, LIGHT),
     }[item.look]

@@ -58,12 +58,12 @@ class View:
         offset = np.asarray(points, np.float64) - self.eye
         return np.asarray(offset @ self.ahead if self.parallel else np.linalg.norm(offset, axis=1))
 
-    def pixel_at(self, depth: Any) -> Any:
+    def pixel_size(self, depth: Any) -> Any:
         """Return the edge length of a pixel in world units at distances ahead, one or an array."""
         return (0.0 * depth + 1.0 if self.parallel else depth) * (2 * self.half[0] / self.width)
 
 
-def view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> View:
+def make_view(camera: Camera, width: int, height: int, up: tuple[float, float, float]) -> View:
     """Return `camera` prepared for a picture of `width` × `height` pixels. A camera aimed at its own position looks along x."""
     eye = np.asarray(camera.at, np.float64)
     ahead = unit_or(np.asarray(camera.look_at, np.float64) - eye, np.array([1.0, 0.0, 0.0]))

@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.body import turned
 from antdsl.casting.rays import RayScene
 from antdsl.outputs.pictures.actors import item_mesh
-from antdsl.outputs.pictures.camera import three, view
+from antdsl.outputs.pictures.camera import make_view, three
 from antdsl.outputs.pictures.light import sun_over
 from antdsl.outputs.pictures.model import Camera, Crowd, Picture
 from antdsl.outputs.pictures.setting import BELOW
@@ -56,7 +56,7 @@ def camera_holding(points: Array, up: Array, *, aspect: float = 16 / 9, focal: f
         near, far = (
             (near, distance) if _holds(middle + direction * distance, middle, points, up, focal, aspect) else (distance, far)
         )
-    at, aim = _centred(middle + direction * far, middle, points, up, focal, aspect)
+    at, aim = _centre_camera(middle + direction * far, middle, points, up, focal, aspect)
     return Camera(three(at), three(aim), focal=focal, up=three(up))
 
 
@@ -72,27 +72,27 @@ def _all_points(picture: Picture, up: Array) -> Array:
     return points if len(points) else np.array([[-1.0, -1.0, -1.0], [1.0, 1.0, 1.0]])
 
 
-def _shares(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
+def _picture_coordinates(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
     """Return the horizontal and vertical positions of points in the picture, within 0..1 where they are visible, and their
     distances ahead."""
-    camera_view = view(Camera(three(at), three(aim), focal=focal, up=three(up)), round(1000 * aspect), 1000, three(up))
+    camera_view = make_view(Camera(three(at), three(aim), focal=focal, up=three(up)), round(1000 * aspect), 1000, three(up))
     pixels, ahead = camera_view.project(points)
     return pixels / np.array([camera_view.width, camera_view.height]), ahead
 
 
 def _holds(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> bool:
     """Return whether the points would fit into the picture if it were centred on them."""
-    shares, ahead = _shares(at, aim, points, up, focal, aspect)
+    shares, ahead = _picture_coordinates(at, aim, points, up, focal, aspect)
     wide = shares.max(axis=0) - shares.min(axis=0)
     return bool((ahead > 0).all() and (wide <= 0.93).all())
 
 
-def _centred(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
+def _centre_camera(at: Array, aim: Array, points: Array, up: Array, focal: float, aspect: float) -> tuple[Array, Array]:
     """Return the camera moved sideways, so that the points are in the picture's centre."""
     for _ in range(4):
-        shares, _ = _shares(at, aim, points, up, focal, aspect)
+        shares, _ = _picture_coordinates(at, aim, points, up, focal, aspect)
         off = (shares.max(axis=0) + shares.min(axis=0)) / 2 - 0.5
-        ready = view(Camera(three(at), three(aim), focal=focal, up=three(up)), 100, 100, three(up))
+        ready = make_view(Camera(three(at), three(aim), focal=focal, up=three(up)), 100, 100, three(up))
         distance = float(np.linalg.norm(aim - at)) * 2 * 18.0 / focal
         step = ready.right * off[0] * distance - ready.above * off[1] * distance / aspect
         at, aim = at + step, aim + step
@@ -118,20 +118,20 @@ def camera_at_eye_level(
         rows = np.flatnonzero(np.asarray(crowd.ids) == agent)
     else:
         crowd = max((each for each in crowds if each.species == crowds[0].species), key=lambda each: len(each.position))
-        rows = _with_company(crowd)
+        rows = _crowded_rows(crowd)
     placed = [item_mesh(item, picture.up) for item in picture.items if item.shape != "none" and item.left > 0 and item.radius > 0]
     around = [(solid.vertices, solid.faces) for solid in picture.solids if len(solid.faces)]
     solids = RayScene.of(around + [(mesh.vertices, mesh.faces) for mesh in placed])
     best: tuple[float, Camera] | None = None
     for row in rows.tolist():
-        for camera in _around(crowd, row, focal, np.asarray(picture.up, np.float64), close):
+        for camera in _candidate_cameras(crowd, row, focal, np.asarray(picture.up, np.float64), close):
             score = _score(crowd, row, camera, solids)
             if best is None or score > best[0]:
                 best = (score, camera)
     return best[1] if best else None
 
 
-def _with_company(crowd: Crowd) -> NDArray[np.int64]:
+def _crowded_rows(crowd: Crowd) -> NDArray[np.int64]:
     """Return rows of agents with many others within twelve body lengths, not all at one position."""
     from scipy.spatial import cKDTree
 
@@ -143,7 +143,7 @@ def _with_company(crowd: Crowd) -> NDArray[np.int64]:
     return order[: _TRIED * 4 : 4] if len(order) >= _TRIED * 4 else order[:_TRIED]
 
 
-def _around(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -> list[Camera]:
+def _candidate_cameras(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -> list[Camera]:
     """Return camera positions around one agent; those behind its shoulder and in front of it come first."""
     scale = float(crowd.scale[row])
     orient = np.asarray(crowd.orient, np.float64)[row : row + 1]
@@ -163,7 +163,7 @@ def _around(crowd: Crowd, row: int, focal: float, upright: Array, close: bool) -
 
 def _score(crowd: Crowd, row: int, camera: Camera, rays: RayScene) -> float:
     """Return a score for how much of the crowd a camera shows; far below zero where ground or stone blocks the view."""
-    camera_view = view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))
+    camera_view = make_view(camera, 160, 90, camera.up or (0.0, 1.0, 0.0))
     scale = float(crowd.scale[row])
     target = np.asarray(crowd.position, np.float64)[row] + scale * 0.2 * np.asarray(camera.up)
     directions = np.stack(

@@ -25,7 +25,7 @@ def still(image: Image, path: Path) -> None:
     write_atomically(path, data.getvalue())
 
 
-def film_ready() -> Report:
+def check_film_support() -> Report:
     """Return an empty report if films can be written, else one error that names the extra. Call it before frames are drawn."""
     report = Report()
     try:
@@ -42,11 +42,11 @@ def film_ready() -> Report:
     return report
 
 
-def film(images: Iterable[Image], path: Path, fps: float) -> Report:
+def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
     """Write pictures (h, w, 3) of one size as an H.264 film. An odd last row or column is left out, as the format requires.
 
     The report has an error without the extra `[video]`, without pictures, and where the file cannot be written."""
-    report = film_ready()
+    report = check_film_support()
     if not report.ok:
         return report
     import imageio_ffmpeg
@@ -65,7 +65,7 @@ def film(images: Iterable[Image], path: Path, fps: float) -> Report:
             writer.send(None)
             count = 0
             try:
-                for image in _with(first, pictures):
+                for image in _prepend(first, pictures):
                     writer.send(np.ascontiguousarray(image[:height, :width]))
                     count += 1
             finally:
@@ -108,6 +108,6 @@ def _is_complete(path: Path) -> bool:
     return place == end
 
 
-def _with(first: Image, others: Iterable[Image]) -> Iterable[Image]:
+def _prepend(first: Image, others: Iterable[Image]) -> Iterable[Image]:
     yield first
     yield from others

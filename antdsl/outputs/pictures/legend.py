@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 from PIL import Image as PillowImage
 from PIL import ImageDraw
 
-from antdsl.outputs.pictures.light import encoded
+from antdsl.outputs.pictures.light import encode_srgb
 from antdsl.outputs.pictures.looks import SOIL
 from antdsl.outputs.pictures.model import Picture, Trail
 from antdsl.outputs.pictures.overlay import font
-from antdsl.outputs.pictures.trails import cover_of, dyed, full_of
+from antdsl.outputs.pictures.trails import cover_of_strengths, dye_ground, full_strength
 
 _SHEET, _WORDS = (28, 30, 34), (236, 236, 232)
 Image = NDArray[np.uint8]
@@ -41,7 +41,7 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
     lines = 1.6 + sum(1.7 + len(rows) for _, rows in species) + 4.2 * len(trails)
     size = max(8, min(high // 40, wide // 13, int(high / (1.4 * max(lines, 1)))))
     edge, line = size, round(size * 1.4)
-    small = _fitting(draw, picture, wide - 2 * edge - round(2.2 * size), size)
+    small = _fitting_size(draw, picture, wide - 2 * edge - round(2.2 * size), size)
     top = edge
     if picture.frame is not None:
         draw.text((edge, top), f"frame {picture.frame}", font=font(size), fill=_SOFT)
@@ -49,21 +49,21 @@ def with_strip(image: Image, picture: Picture, wide: int, show: tuple[str, ...])
     for name, rows in species:
         if name:
             count = f"{sum(row.count for row in rows):,}"
-            _line(draw, name, count, (edge, top), wide - edge, size)
+            _draw_line(draw, name, count, (edge, top), wide - edge, size)
             draw.line((edge, top + line, wide - edge, top + line), fill=(78, 80, 84))
             top += round(1.25 * line)
         for row in rows:
             draw.ellipse((edge, top + size * 0.15, edge + size * 0.9, top + size * 1.05), fill=row.colour)
-            _line(draw, row.name, f"{row.count:,}", (edge + round(1.4 * size), top), wide - edge, small)
+            _draw_line(draw, row.name, f"{row.count:,}", (edge + round(1.4 * size), top), wide - edge, small)
             top += line
         top += round(0.45 * line)
     for trail in trails:
-        _scale(strip_image, draw, trail, (edge, top), wide - edge, size)
+        _draw_scale(strip_image, draw, trail, (edge, top), wide - edge, size)
         top += round(4.2 * line)
     return np.concatenate([image, np.asarray(strip_image)], axis=1)
 
 
-def _fitting(draw: ImageDraw.ImageDraw, picture: Picture, available_width: int, size: int) -> int:
+def _fitting_size(draw: ImageDraw.ImageDraw, picture: Picture, available_width: int, size: int) -> int:
     """Return the font size at which every state name fits beside its count, but at least 70 % of `size`."""
     small = size
     while small > max(8, round(0.7 * size)) and any(
@@ -74,7 +74,7 @@ def _fitting(draw: ImageDraw.ImageDraw, picture: Picture, available_width: int, 
     return small
 
 
-def _line(draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[int, int], right: int, size: int) -> None:
+def _draw_line(draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[int, int], right: int, size: int) -> None:
     """Draw a name at the left, truncated if necessary, and a number at the right."""
     left, top = place
     number = draw.textlength(count, font=font(size))
@@ -85,23 +85,23 @@ def _line(draw: ImageDraw.ImageDraw, name: str, count: str, place: tuple[int, in
     draw.text((right - number, top), count, font=font(size), fill=_INK)
 
 
-def _scale(
+def _draw_scale(
     strip_image: PillowImage.Image, draw: ImageDraw.ImageDraw, trail: Trail, place: tuple[int, int], right: int, size: int
 ) -> None:
     """Draw a bar in the colours of the field on level soil, labelled with the corresponding strengths."""
     left, top = place
-    full = full_of(trail)
+    full = full_strength(trail)
     draw.text((left, top), trail.name, font=font(size), fill=_INK)
     top += round(1.5 * size)
     wide, high = right - left, round(size * 0.8)
     share = np.linspace(0, 1, wide).astype(np.float32)
-    row = encoded(dyed(np.tile(SOIL, (wide, 1)).astype(np.float32), share, trail))
+    row = encode_srgb(dye_ground(np.tile(SOIL, (wide, 1)).astype(np.float32), share, trail))
     strip_image.paste(PillowImage.fromarray(np.tile(row[None], (high, 1, 1))), (left, top))
     top += high
     small = max(7, round(size * 0.8))
     taken = float(right + size)
     for tick in _TICKS:
-        x = left + float(cover_of(np.array([tick]), 1.0)[0]) * (wide - 1)
+        x = left + float(cover_of_strengths(np.array([tick]), 1.0)[0]) * (wide - 1)
         text = f"{full * tick:.3g}"
         long = draw.textlength(text, font=font(small))
         begin = min(max(x - long / 2, left), right - long)

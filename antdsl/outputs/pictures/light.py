@@ -1,4 +1,4 @@
-"""Sun, sky, haze and the tone curve from light to display values. Everything is linear light in float32 until `displayed`."""
+"""Sun, sky, haze and the tone curve from light to display values. Everything is linear light in float32 until `tone_map`."""
 
 from dataclasses import dataclass
 from functools import cache
@@ -64,7 +64,7 @@ def sky(direction: Floats, sun: Sun) -> Floats:
     return light
 
 
-def around(direction: Floats, sun: Sun) -> Floats:
+def environment_light(direction: Floats, sun: Sun) -> Floats:
     """What a mirror sees in directions (n, 3): the sky, and ground below the horizon."""
     high = (direction @ sun.up)[:, None]
     share = np.sqrt(np.clip(high, 0.0, 1.0))
@@ -72,7 +72,7 @@ def around(direction: Floats, sun: Sun) -> Floats:
     return np.asarray(BOUNCE + (above - BOUNCE) * np.clip(0.5 + 4 * high, 0.0, 1.0), np.float32)
 
 
-def hazed(colour: Floats, far: Floats, direction: Floats, sun: Sun, reach: float) -> Floats:
+def apply_haze(colour: Floats, far: Floats, direction: Floats, sun: Sun, reach: float) -> Floats:
     """Return `colour` seen through `far` of air that hides half at about 0.7 `reach`; there is little haze in downward
     directions."""
     level = 1 - np.clip(-(direction @ sun.up), 0.0, 1.0)
@@ -81,7 +81,7 @@ def hazed(colour: Floats, far: Floats, direction: Floats, sun: Sun, reach: float
     return through
 
 
-def displayed(light: Floats) -> Floats:
+def tone_map(light: Floats) -> Floats:
     """Return display-linear values 0..1: linear in dark and middle tones, compressed softly above 0.7."""
     light = np.maximum(light * np.float32(0.62), 0)
     knee = np.float32(0.7)
@@ -89,19 +89,19 @@ def displayed(light: Floats) -> Floats:
     return np.where(light > knee, knee + (1 - knee) * (1 - np.exp(-over / (1 - knee))), light)
 
 
-def encoded(linear: Floats) -> NDArray[np.uint8]:
+def encode_srgb(linear: Floats) -> NDArray[np.uint8]:
     """Display-linear values as sRGB bytes."""
-    return _bytes().take((np.clip(linear, 0, 1) * np.float32(_STEPS) + np.float32(0.5)).astype(np.int32))
+    return _srgb_table().take((np.clip(linear, 0, 1) * np.float32(_STEPS) + np.float32(0.5)).astype(np.int32))
 
 
 @cache
-def _bytes() -> NDArray[np.uint8]:
+def _srgb_table() -> NDArray[np.uint8]:
     linear = np.arange(_STEPS + 1) / _STEPS
     display = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * linear ** (1 / 2.4) - 0.055)
     return np.asarray(display * 255 + 0.5, np.uint8)
 
 
-def decoded(display: NDArray[np.floating] | tuple[float, ...]) -> Floats:
+def decode_srgb(display: NDArray[np.floating] | tuple[float, ...]) -> Floats:
     """Linear values of sRGB display values 0..1."""
     value = np.asarray(display, np.float32)
     return np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4).astype(np.float32)

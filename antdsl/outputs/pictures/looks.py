@@ -7,7 +7,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.light import Sun, around, decoded
+from antdsl.outputs.pictures.light import Sun, decode_srgb, environment_light
 from antdsl.outputs.pictures.shading_rows import Floats, dots, units
 
 # Turned, so that no plane across an axis of the world runs along the lattice.
@@ -17,21 +17,21 @@ KINDS = ("ground", "stone", "boulder", "hill", "table", "edge", "grain", "figure
 GROUND, STONE, BOULDER, HILL, TABLE, EDGE, GRAIN, FIGURE, METAL, LEAF, LIGHT = range(len(KINDS))
 TRAILED = (GROUND, BOULDER, HILL, FIGURE, METAL, LEAF)  # where a field's colour may lie
 
-SOIL = decoded((0.68, 0.60, 0.48))
-_DRY = decoded((0.755, 0.70, 0.59))
-_MOSS = decoded((0.56, 0.585, 0.42))
-_ROCK = decoded((0.50, 0.465, 0.42))
-_STONES = decoded(np.array([(0.57, 0.565, 0.56), (0.50, 0.515, 0.54), (0.64, 0.60, 0.55)]))
-_BOULDER = decoded((0.60, 0.575, 0.545))
-_LICHEN = decoded((0.70, 0.70, 0.58))
-_HILL = decoded((0.55, 0.42, 0.30))
-_EARTH = decoded((0.42, 0.33, 0.25))
-_CLAY = decoded((0.78, 0.70, 0.61))
-_PALE = decoded((0.84, 0.775, 0.69))
-_TABLE = decoded((0.80, 0.80, 0.79))
-STEEL, GREEN, LIT = decoded((0.70, 0.71, 0.73)), decoded((0.33, 0.50, 0.17)), decoded((1.0, 0.93, 0.78))
-_VEIN = decoded((0.52, 0.64, 0.30))
-_QUARTZ, _BASALT = decoded((0.86, 0.82, 0.74)), decoded((0.40, 0.36, 0.32))
+SOIL = decode_srgb((0.68, 0.60, 0.48))
+_DRY = decode_srgb((0.755, 0.70, 0.59))
+_MOSS = decode_srgb((0.56, 0.585, 0.42))
+_ROCK = decode_srgb((0.50, 0.465, 0.42))
+_STONES = decode_srgb(np.array([(0.57, 0.565, 0.56), (0.50, 0.515, 0.54), (0.64, 0.60, 0.55)]))
+_BOULDER = decode_srgb((0.60, 0.575, 0.545))
+_LICHEN = decode_srgb((0.70, 0.70, 0.58))
+_HILL = decode_srgb((0.55, 0.42, 0.30))
+_EARTH = decode_srgb((0.42, 0.33, 0.25))
+_CLAY = decode_srgb((0.78, 0.70, 0.61))
+_PALE = decode_srgb((0.84, 0.775, 0.69))
+_TABLE = decode_srgb((0.80, 0.80, 0.79))
+STEEL, GREEN, LIT = decode_srgb((0.70, 0.71, 0.73)), decode_srgb((0.33, 0.50, 0.17)), decode_srgb((1.0, 0.93, 0.78))
+_VEIN = decode_srgb((0.52, 0.64, 0.30))
+_QUARTZ, _BASALT = decode_srgb((0.86, 0.82, 0.74)), decode_srgb((0.40, 0.36, 0.32))
 _LOOSE = (GROUND, HILL, EDGE)  # what is of grains
 BRIGHT = 2.6  # of a light: several times what the sun makes of white
 
@@ -52,7 +52,7 @@ class Surface:
     normal: Floats
 
 
-def surface(
+def surface_look(
     kind: NDArray[np.uint8], points: Floats, normal: Floats, up: Floats, pixel: Floats, scales: Scales, painted: Floats
 ) -> Surface:
     """Look of samples: `kind` (n,) of KINDS, `points`, smooth `normal` (n, 3), `pixel` (n,) the width of a pixel there.
@@ -67,15 +67,15 @@ def surface(
         albedo[rows] = _COLOURS[int(code)](points[rows], upness[rows], large[rows], patch[rows], up, scales)
     own = np.flatnonzero(painted[:, 3] > 0)
     albedo[own] += (painted[own, :3] - albedo[own]) * painted[own, 3:]
-    return _grained(albedo, normal, kind, points, pixel, scales)
+    return _add_grain(albedo, normal, kind, points, pixel, scales)
 
 
-def soiled(albedo: Floats, normal: Floats, points: Floats, pixel: Floats, scales: Scales) -> Surface:
+def soil_look(albedo: Floats, normal: Floats, points: Floats, pixel: Floats, scales: Scales) -> Surface:
     """Return the look of loose soil with a given colour (n, 3), with its grain."""
-    return _grained(albedo, normal, np.full(len(points), HILL, np.uint8), points, pixel, scales)
+    return _add_grain(albedo, normal, np.full(len(points), HILL, np.uint8), points, pixel, scales)
 
 
-def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> Surface:
+def _add_grain(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> Surface:
     """Bumps and specks, each size only where a pixel is small enough to show it."""
     rough = np.array([1.0, 0.8, 0.9, 1.2, 0.0, 0.9, 0.8, 0.45, 0.05, 0.25, 0.0], np.float32)[kind]
     for wavelength, height, speck, seed in (
@@ -95,11 +95,11 @@ def _grained(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Fl
         slope -= own * dots(slope, own)[:, None]
         normal[rows] = own - slope * (visibility[rows] * np.float32(height * length * 0.5))[:, None]
         albedo[rows] *= (1 + visibility[rows] * value * np.float32(speck))[:, None]
-    _sanded(albedo, normal, kind, points, pixel, scales)
+    _add_sand(albedo, normal, kind, points, pixel, scales)
     return Surface(albedo, units(normal))
 
 
-def _sanded(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> None:
+def _add_sand(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Floats, pixel: Floats, scales: Scales) -> None:
     """Add grains of sand to soil, coarse ones in patches, each size only where pixels resolve single grains."""
     loose = np.flatnonzero(np.isin(kind, _LOOSE))
     for size, share, seed in ((0.11, 0.16, 21), (0.042, 0.42, 22), (0.016, 0.85, 23), (0.006, 1.0, 24)):
@@ -126,27 +126,27 @@ def _sanded(albedo: Floats, normal: Floats, kind: NDArray[np.uint8], points: Flo
         albedo[rows] += (_BASALT - albedo[rows]) * (0.5 * dark)[:, None]
 
 
-def _mixed(first: Floats, second: Floats, share: Floats) -> Floats:
+def _mix(first: Floats, second: Floats, share: Floats) -> Floats:
     mixed: Floats = first + (second - first) * np.clip(share, 0.0, 1.0)[:, None]
     return mixed
 
 
 def _ground(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
-    colour = _mixed(SOIL, _DRY, 0.5 + 0.9 * large)
-    colour = _mixed(colour, _MOSS, (0.55 * patch - 0.75 * large - 0.12) * 1.6 * np.clip(upness * 4 - 2.6, 0, 1))
-    return _mixed(colour, _ROCK, (0.86 - upness + 0.10 * patch) * 4.0)
+    colour = _mix(SOIL, _DRY, 0.5 + 0.9 * large)
+    colour = _mix(colour, _MOSS, (0.55 * patch - 0.75 * large - 0.12) * 1.6 * np.clip(upness * 4 - 2.6, 0, 1))
+    return _mix(colour, _ROCK, (0.86 - upness + 0.10 * patch) * 4.0)
 
 
 def _stone(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
     tone = np.clip(1.0 + 1.2 * large, 0.0, 2.0)
-    first = _mixed(_STONES[0], _STONES[1], 1 - tone)
-    return _mixed(first, _STONES[2], tone - 1) * (1 + 0.12 * patch)[:, None]
+    first = _mix(_STONES[0], _STONES[1], 1 - tone)
+    return _mix(first, _STONES[2], tone - 1) * (1 + 0.12 * patch)[:, None]
 
 
 def _boulder(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
     bands = np.sin((points @ up) * np.float32(2 * np.pi / (scales.extent / 60)) + 3 * patch)
     colour = _BOULDER * (1 + 0.07 * bands + 0.08 * patch)[:, None]
-    return _mixed(colour, _LICHEN, (patch + 0.5 * large - 0.35) * 1.8 * np.clip(upness, 0, 1))
+    return _mix(colour, _LICHEN, (patch + 0.5 * large - 0.35) * 1.8 * np.clip(upness, 0, 1))
 
 
 def _hill(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
@@ -165,11 +165,11 @@ def _edge(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floa
 
 def _grain(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
     tone, _ = value_noise(points, scales.grain * 0.9, 9)
-    return _mixed(_mixed(SOIL, _ROCK, 0.45 - 1.4 * tone), _DRY * 1.1, 1.6 * tone)
+    return _mix(_mix(SOIL, _ROCK, 0.45 - 1.4 * tone), _DRY * 1.1, 1.6 * tone)
 
 
 def _figure(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
-    return _mixed(_CLAY, _PALE, 0.5 + 0.5 * large + 0.25 * patch)
+    return _mix(_CLAY, _PALE, 0.5 + 0.5 * large + 0.25 * patch)
 
 
 def _metal(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
@@ -178,7 +178,7 @@ def _metal(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Flo
 
 def _leaf(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
     fine, _ = value_noise(points, scales.extent / 90, 12)
-    return _mixed(GREEN * (1 + 0.22 * patch + 0.15 * large)[:, None], _VEIN, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6)
+    return _mix(GREEN * (1 + 0.22 * patch + 0.15 * large)[:, None], _VEIN, np.clip(1 - 7 * np.abs(fine), 0, 1) * 0.6)
 
 
 def _light(points: Floats, upness: Floats, large: Floats, patch: Floats, up: Floats, scales: Scales) -> Floats:
@@ -196,15 +196,15 @@ def glow(kind: NDArray[np.uint8], look: Surface, direction: Floats, sun: Sun) ->
         rows = np.flatnonzero(kind == code)
         if len(rows):
             normal, ray = look.normal[rows], direction[rows]
-            light[rows] = mirrored(normal, ray, sun) * schlick(normal, ray, least)[:, None] * colour
+            light[rows] = reflected_light(normal, ray, sun) * schlick(normal, ray, least)[:, None] * colour
     light[kind == LIGHT] = LIT * BRIGHT
     return light
 
 
-def mirrored(normal: Floats, direction: Floats, sun: Sun) -> Floats:
+def reflected_light(normal: Floats, direction: Floats, sun: Sun) -> Floats:
     """Return the reflections (n, 3) of sky and ground for rays with directions `direction` (n, 3)."""
     back = np.clip(-dots(normal, direction), 0, 1)
-    return around(direction + normal * (2 * back)[:, None], sun)
+    return environment_light(direction + normal * (2 * back)[:, None], sun)
 
 
 def schlick(normal: Floats, direction: Floats, least: float) -> Floats:
@@ -213,7 +213,7 @@ def schlick(normal: Floats, direction: Floats, least: float) -> Floats:
     return np.asarray(least + (1 - least) * (1 - np.clip(-dots(normal, direction), 0, 1)) ** 5, np.float32)
 
 
-def _turned(rows: Floats, matrix: Floats) -> Floats:
+def _rotate_rows(rows: Floats, matrix: Floats) -> Floats:
     """Return rows (n, 3) times a matrix, written out: BLAS would wake threads, which cost more than the product."""
     turned = np.empty_like(rows)
     for k in range(3):
@@ -231,7 +231,7 @@ def _noise_table(seed: int) -> Floats:
 def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, Floats]:
     """Value (n,) within −1..1 and gradient (n, 3), per world unit, at `points` (n, 3); smooth, about one bump a `wavelength`."""
     table = _noise_table(seed)
-    scaled = _turned(points, _TURN * np.float32(1.0 / wavelength))
+    scaled = _rotate_rows(points, _TURN * np.float32(1.0 / wavelength))
     lattice = np.floor(scaled)
     part = scaled - lattice
     cell = lattice.astype(np.int32) & (_EDGE - 1)
@@ -250,7 +250,7 @@ def value_noise(points: Floats, wavelength: float, seed: int) -> tuple[Floats, F
     by_y = (v01 - v00) + ((v11 - v10) - (v01 - v00)) * x
     near, far = d00 + (d01 - d00) * y, d10 + (d11 - d10) * y
     gradient = np.stack([(high - low) * a, by_y * b, (near + (far - near) * x) * c], axis=1)
-    return low + (high - low) * x, _turned(gradient, _TURN.T)
+    return low + (high - low) * x, _rotate_rows(gradient, _TURN.T)
 
 
 @lru_cache(maxsize=4)
@@ -267,7 +267,7 @@ def grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats,
     The results are the distance from the grain's centre (n,), 0..1; the vector from there (n, 3), of length about 1 at the rim;
     and the grain's tone (n,) within −1..1."""
     table = _grains(seed)
-    scaled = _turned(points, _TURN * np.float32(1.0 / size))
+    scaled = _rotate_rows(points, _TURN * np.float32(1.0 / size))
     low = np.floor(scaled - np.float32(0.5))
     cell = low.astype(np.int32)
     inside = scaled - low
@@ -282,4 +282,4 @@ def grain_noise(points: Floats, size: float, seed: int) -> tuple[Floats, Floats,
                 square = np.einsum("nc,nc->n", offset, offset)
                 nearer = np.flatnonzero(square < nearest)
                 nearest[nearer], nearest_offset[nearer], tone[nearer] = square[nearer], offset[nearer], grain[nearer, 3]
-    return np.minimum(np.sqrt(nearest) * np.float32(1.5), 1), _turned(nearest_offset, _TURN.T * np.float32(1.5)), tone
+    return np.minimum(np.sqrt(nearest) * np.float32(1.5), 1), _rotate_rows(nearest_offset, _TURN.T * np.float32(1.5)), tone

@@ -7,7 +7,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.driving import Driven
+from antdsl.bodies.agents.driving import DrivenPose
 from antdsl.bodies.agents.leg_ik import FeetOfBodies, PlacedFeet
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.poses import Poses
@@ -45,7 +45,7 @@ class Paths:
 
 
 @cache
-def _ant() -> PosedBody:
+def _default_body() -> PosedBody:
     return PosedBody(library_body("ant"), ())
 
 
@@ -68,10 +68,10 @@ class Crowd:
     velocity: Array | None = None
     feelers: Array | None = None
     paths: Paths | None = None
-    worn: PosedBody = field(default_factory=_ant)
+    worn: PosedBody = field(default_factory=_default_body)
     plays: tuple[MachineClips, ...] = ()
     feet: PlacedFeet | None = None
-    driven: Driven = NOTHING
+    driven: DrivenPose = NOTHING
     next_crowd: "Crowd | None" = None
 
     def poses(self, local: bool = False) -> Poses:
@@ -89,7 +89,7 @@ class Crowd:
         """Return the feet of some agents as `PosedBody.posed` expects them; None where none are known."""
         if self.feet is None:
             return None
-        return self.feet.rows(rows).beside(*(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale)))
+        return self.feet.rows(rows).relative_to(*(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale)))
 
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
         """Return selected agents of the crowd. Feelers are dropped, since they have no rows of agents."""

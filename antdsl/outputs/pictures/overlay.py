@@ -40,43 +40,43 @@ def draw_overlay(
         return image
     canvas = PillowImage.fromarray(image)
     if marks > 0:
-        _marked(canvas, picture, view, far, marks)
+        _draw_marks(canvas, picture, view, far, marks)
     draw = ImageDraw.Draw(canvas, "RGBA")
     for flow in picture.flows if "flow" in show else ():
-        _draw_arrows(draw, view, flow, _unhidden(flow.position, view, far))
+        _draw_arrows(draw, view, flow, _is_unhidden(flow.position, view, far))
     for crowd in picture.crowds if "paths" in show else ():
         if crowd.paths is not None:
             _draw_paths(draw, view, crowd.paths, far)
     for crowd in picture.crowds:
-        is_visible = _visible(crowd, view, far)
+        is_visible = _visible_agents(crowd, view, far)
         if "velocity" in show and crowd.velocity is not None:
-            lift = _lifted(crowd)[is_visible]
+            lift = _lifted_positions(crowd)[is_visible]
             _draw_lines(draw, view, np.stack([lift, lift + _AHEAD * np.asarray(crowd.velocity)[is_visible]], axis=1), _VELOCITY)
         if "feelers" in show and crowd.feelers is not None and len(crowd.feelers):
             ends = np.asarray(crowd.feelers, np.float64)
-            _draw_lines(draw, view, ends[_unhidden(ends[:, 0], view, far)], _FEELER)
+            _draw_lines(draw, view, ends[_is_unhidden(ends[:, 0], view, far)], _FEELER)
         if "ids" in show and crowd.ids is not None:
             _draw_ids(draw, view, crowd, np.flatnonzero(is_visible)[:_MOST_IDS])
     return np.asarray(canvas)
 
 
-def _lifted(crowd: Crowd) -> Array:
+def _lifted_positions(crowd: Crowd) -> Array:
     """Return positions slightly above the ground, at the height of the body."""
     up = turned(np.asarray(crowd.orient, np.float64), np.tile([0.0, 1.0, 0.0], (len(crowd.position), 1)))
     return np.asarray(crowd.position, np.float64) + up * 0.25 * np.asarray(crowd.scale, np.float64)[:, None]
 
 
-def _visible(crowd: Crowd, view: View, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
-    return _unhidden(_lifted(crowd), view, depth) if len(crowd.position) else np.zeros(0, np.bool_)
+def _visible_agents(crowd: Crowd, view: View, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+    return _is_unhidden(_lifted_positions(crowd), view, depth) if len(crowd.position) else np.zeros(0, np.bool_)
 
 
-def _unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _is_unhidden(points: Array, view: View, depth: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Return whether each point is in the picture and not hidden by a static thing."""
     pixels, ahead = view.project(points)
     inside = (ahead > 0) & (pixels >= 0).all(axis=1) & (pixels[:, 0] < view.width) & (pixels[:, 1] < view.height)
     column, row = np.where(inside[:, None], pixels, 0).astype(np.int64).T
     distance = view.distance(points)
-    near = distance <= depth[row, column] * 1.005 + view.pixel_at(np.maximum(ahead, 0)) * 2
+    near = distance <= depth[row, column] * 1.005 + view.pixel_size(np.maximum(ahead, 0)) * 2
     return np.asarray(inside & near)
 
 
@@ -100,7 +100,7 @@ def _draw_paths(draw: ImageDraw.ImageDraw, view: View, paths: Paths, depth: NDAr
     points = paths.positions.reshape(-1, 3)
     is_present = np.isfinite(points).all(axis=1)
     is_visible = np.zeros(len(points), np.bool_)
-    is_visible[is_present] = _unhidden(points[is_present], view, depth)
+    is_visible[is_present] = _is_unhidden(points[is_present], view, depth)
     pixels = np.zeros((len(points), 2))
     pixels[is_visible] = view.project(points[is_visible])[0]
     visible_steps, flat = is_visible.reshape(count, frames), pixels.reshape(count, frames, 2)
@@ -138,7 +138,7 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray
     if crowd.ids is None:
         return
     size = max(9, view.height // 54)
-    pixels, _ = view.project(_lifted(crowd)[rows])
+    pixels, _ = view.project(_lifted_positions(crowd)[rows])
     for (x, y), name in zip(pixels.tolist(), np.asarray(crowd.ids)[rows].tolist(), strict=True):
         draw.text(
             (x + size * 0.3, y - size * 1.1),
@@ -150,7 +150,7 @@ def _draw_ids(draw: ImageDraw.ImageDraw, view: View, crowd: Crowd, rows: NDArray
         )
 
 
-def _marked(canvas: PillowImage.Image, picture: Picture, view: View, far: NDArray[np.float32], wide: float) -> None:
+def _draw_marks(canvas: PillowImage.Image, picture: Picture, view: View, far: NDArray[np.float32], wide: float) -> None:
     """Draw a disc `wide` pixels across for each visible agent, in its colour, near ones over far ones. Discs are drawn enlarged
     and scaled down, for soft edges."""
     times = 4 if view.width * view.height <= 1 << 20 else 2
@@ -158,8 +158,8 @@ def _marked(canvas: PillowImage.Image, picture: Picture, view: View, far: NDArra
     draw = ImageDraw.Draw(sheet)
     discs = []
     for crowd in picture.crowds:
-        is_visible = _visible(crowd, view, far)
-        pixels, ahead = view.project(np.where(is_visible[:, None], _lifted(crowd), 0.0))
+        is_visible = _visible_agents(crowd, view, far)
+        pixels, ahead = view.project(np.where(is_visible[:, None], _lifted_positions(crowd), 0.0))
         colour = np.clip(np.nan_to_num(np.asarray(crowd.colour, np.float64)) * 255, 0, 255).round()
         discs.append(np.concatenate([ahead[:, None], pixels, colour], axis=1)[is_visible])
     every = np.concatenate(discs or [np.zeros((0, 6))])

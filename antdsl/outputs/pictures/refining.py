@@ -5,12 +5,12 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.picture_rays import Sights
-from antdsl.outputs.pictures.light import SUN_WIDTH, displayed
-from antdsl.outputs.pictures.shading import Lighting, moving_light, shadowed, still_light
+from antdsl.casting.picture_rays import PictureHits
+from antdsl.outputs.pictures.light import SUN_WIDTH, tone_map
+from antdsl.outputs.pictures.shading import Lighting, moving_light, still_light, sun_visibility
 from antdsl.outputs.pictures.shading_rows import Floats, each, pieces
-from antdsl.outputs.pictures.softness import open_share, sunlit
-from antdsl.outputs.pictures.stage import Samples, Stage, spot
+from antdsl.outputs.pictures.softness import open_share, sun_share
+from antdsl.outputs.pictures.stage import Samples, Stage, pixel_offset
 from antdsl.outputs.pictures.trails import Dyes
 
 Rows = NDArray[np.int64]
@@ -21,7 +21,7 @@ _FEWEST, _BUDGET = 4, 1.1  # samples of a refined pixel at least, and of all of 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class First:
+class FirstPass:
     """Samples at pixel centres: display-linear `light` (h · w, 3), the same without moving things, `behind`, and the unoccluded
     share `opened` of the surroundings.
 
@@ -35,23 +35,23 @@ class First:
     swept: NDArray[np.bool_]
 
 
-def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
+def sample_middles(still: Stage, lighting: Lighting, dyes: Dyes) -> FirstPass:
     """The light of all pixels by their middles."""
     samples, cast, threads = still.middle, lighting.cast, lighting.threads
     visible, opened = np.ones(len(samples), np.float32), still.shade
     if cast.size > 0:
         reach = 1.1 * cast.size
-        shadowed, around = cast.shading(samples.point, lighting.sun, (SUN_WIDTH * cast.throw, reach))
-        visible = sunlit(
+        shadowed, around = cast.may_be_shaded(samples.point, lighting.sun, (SUN_WIDTH * cast.throw, reach))
+        visible = sun_share(
             still.grid, samples.sun, lighting.sun, cast.rays[:: 1 + (len(cast.rays) > 4)], cast.tall, threads, shadowed
         )
         contact = open_share(still.grid, cast.rays[len(cast.rays) // 2], reach, _CONTACT_RAYS, threads, around)
         opened = opened * contact
-    albedo = dyes.coloured(samples)
+    albedo = dyes.colour_samples(samples)
     behind = np.empty_like(samples.direction)
 
     def fill(own: slice) -> None:
-        behind[own] = displayed(still_light(lighting, samples, own, albedo[own], visible[own], opened[own]))
+        behind[own] = tone_map(still_light(lighting, samples, own, albedo[own], visible[own], opened[own]))
 
     each(fill, pieces(len(samples)), threads)
     light = behind.copy()
@@ -71,13 +71,13 @@ def middles(still: Stage, lighting: Lighting, dyes: Dyes) -> First:
     for own in pieces(len(rows)):
         part = _select_hits(hits, own)
         lit = moving_light(lighting, part, place[own], direction[own], len(every) // 2, lighting.sun.towards)
-        light[rows[own]] = displayed(lit)
-    return First(light, behind, opened, front, swept)
+        light[rows[own]] = tone_map(lit)
+    return FirstPass(light, behind, opened, front, swept)
 
 
 def find_moving(
     still: Stage, lighting: Lighting, pixels: Rows, far: Floats, place: tuple[float, float], time_index: int
-) -> tuple[Rows, Sights]:
+) -> tuple[Rows, PictureHits]:
     """Return which rays through one position in some pixels hit a moving thing nearer than `far` at a moment, and the hits."""
     start, direction = still.view.rays(pixels, *place)
     hits = lighting.cast.rays[time_index].cast(start, direction, lighting.threads)
@@ -85,14 +85,14 @@ def find_moving(
     return rows, _select_hits(hits, rows)
 
 
-def _select_hits(hits: Sights, rows: Rows | slice) -> Sights:
-    return Sights(*(getattr(hits, each.name)[rows] for each in fields(Sights)))
+def _select_hits(hits: PictureHits, rows: Rows | slice) -> PictureHits:
+    return PictureHits(*(getattr(hits, each.name)[rows] for each in fields(PictureHits)))
 
 
-def refined(still: Stage, lighting: Lighting, dyes: Dyes, first: First, most: int) -> Floats:
+def refine(still: Stage, lighting: Lighting, dyes: Dyes, first: FirstPass, most: int) -> Floats:
     """Display-linear light (h · w, 3): where one sample is not enough the mean of several, `most` at most."""
     light = first.light.copy()
-    pixels = _unsettled(still, first)
+    pixels = _unsettled_pixels(still, first)
     if most == 1 or not len(pixels):
         return light
     moments = len(lighting.cast.rays)
@@ -105,8 +105,8 @@ def refined(still: Stage, lighting: Lighting, dyes: Dyes, first: First, most: in
     # The order of moments is not that of places in the pixel.
     order = np.argsort(np.arange(count) * 0.6180339887498949 % 1.0, kind="stable") * moments // count
     for number, time_index in enumerate(order.tolist()):
-        one = _Sample(still, lighting, spot(number, count), time_index, spots[number])
-        total[edges] += one.lit(dyes, first, still.sampled(number, count, lighting.threads))
+        one = _Sample(still, lighting, pixel_offset(number, count), time_index, spots[number])
+        total[edges] += one.light_samples(dyes, first, still.edge_samples(number, count, lighting.threads))
         # Where the surface goes on, what stands still is as it is in the pixel's middle.
         total[others] += one.add_moving(pixels[others], still.middle.far[pixels[others]], first.behind[pixels[others]])
     light[pixels] = total / count
@@ -123,11 +123,13 @@ class _Sample:
     time_index: int
     sunspot: Floats
 
-    def lit(self, dyes: Dyes, first: First, samples: Samples) -> Floats:
+    def light_samples(self, dyes: Dyes, first: FirstPass, samples: Samples) -> Floats:
         """Return display-linear light (n, 3) of samples of static things, and of moving things in front of them."""
-        visible = shadowed(self.lighting, samples, self.time_index, self.sunspot)
-        light = still_light(self.lighting, samples, slice(None), dyes.coloured(samples), visible, first.opened[samples.pixel])
-        return self.add_moving(samples.pixel, samples.far, displayed(light))
+        visible = sun_visibility(self.lighting, samples, self.time_index, self.sunspot)
+        light = still_light(
+            self.lighting, samples, slice(None), dyes.colour_samples(samples), visible, first.opened[samples.pixel]
+        )
+        return self.add_moving(samples.pixel, samples.far, tone_map(light))
 
     def add_moving(self, pixels: Rows, far: Floats, light: Floats) -> Floats:
         """Return `light` of pixels, replaced where a moving thing is nearer than the static distance `far`."""
@@ -137,11 +139,11 @@ class _Sample:
             start, direction = self.still.view.rays(pixels[near[rows]], *self.place)
             begin = np.broadcast_to(start, direction.shape).astype(np.float32)
             light = light.copy()
-            light[near[rows]] = displayed(moving_light(self.lighting, hits, begin, direction, self.time_index, self.sunspot))
+            light[near[rows]] = tone_map(moving_light(self.lighting, hits, begin, direction, self.time_index, self.sunspot))
         return light
 
 
-def _unsettled(still: Stage, first: First) -> Rows:
+def _unsettled_pixels(still: Stage, first: FirstPass) -> Rows:
     """Return pixels where surfaces meet, something moves, or a moving thing differs from its neighbour pixels."""
     high, wide = still.view.height, still.view.width
     unsettled = first.swept.copy().reshape(high, wide)

@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.actors import Actors, actors
-from antdsl.outputs.pictures.camera import View, view
-from antdsl.outputs.pictures.light import Sun, encoded, sun_over
+from antdsl.outputs.pictures.actors import Actors, make_actors
+from antdsl.outputs.pictures.camera import View, make_view
+from antdsl.outputs.pictures.light import Sun, encode_srgb, sun_over
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.model import Camera, Picture
 from antdsl.outputs.pictures.overlay import draw_overlay
-from antdsl.outputs.pictures.refining import middles, refined
-from antdsl.outputs.pictures.setting import Setting, setting
+from antdsl.outputs.pictures.refining import refine, sample_middles
+from antdsl.outputs.pictures.setting import Setting, make_setting
 from antdsl.outputs.pictures.shading import Lighting
 from antdsl.outputs.pictures.stage import Stage, stage
 from antdsl.outputs.pictures.trails import Dyes
@@ -74,13 +74,13 @@ class Renderer:
             raise ValueError(f"cannot show `{wrong[0]}`: there are {', '.join(DISPLAY_OPTIONS)}")
         up = np.asarray(picture.up, np.float64) / np.linalg.norm(picture.up)
         sun = sun_over(up)
-        camera_view = view(camera, self.width, self.height, picture.up)
+        camera_view = make_view(camera, self.width, self.height, picture.up)
         still = self._setting(picture, up)
         scales = Scales(still.extent, _grain(picture, still.extent))
         camera_cache = self._stage(picture, camera, still, camera_view, sun, scales)
         bodied = picture if self.marks <= 0 else replace(picture, crowds=())
-        cast = actors(bodied, camera_view, self.least, still, self.blur, self.enlarged)
-        camera_cache.dyes.wet(picture.trails if "trail" in options else ())
+        cast = make_actors(bodied, camera_view, self.least, still, self.blur, self.enlarged)
+        camera_cache.dyes.set_trails(picture.trails if "trail" in options else ())
         image = self._light(camera_cache, cast, Lighting(cast, still.rays, sun, scales, camera_view, self.threads))
         return draw_overlay(
             image, picture, camera_view, camera_cache.stage.middle.far.reshape(self.height, self.width), options, self.marks
@@ -92,7 +92,7 @@ class Renderer:
         for known, still_setting, _ in self._settings:
             if known == key:
                 return still_setting
-        still_setting = setting(picture.solids, up)
+        still_setting = make_setting(picture.solids, up)
         self._settings = [*self._settings[-1:], (key, still_setting, picture.solids)]
         return still_setting
 
@@ -111,10 +111,10 @@ class Renderer:
 
     def _light(self, camera_cache: _CameraCache, cast: Actors, lighting: Lighting) -> Image:
         still = camera_cache.stage
-        first = middles(still, lighting, camera_cache.dyes)
+        first = sample_middles(still, lighting, camera_cache.dyes)
         most = 2 * self.samples**2 * (2 if len(cast.rays) > 1 else 1) if self.samples > 1 else 1
-        light = refined(still, lighting, camera_cache.dyes, first, most)
-        return encoded(light.reshape(self.height, self.width, 3))
+        light = refine(still, lighting, camera_cache.dyes, first, most)
+        return encode_srgb(light.reshape(self.height, self.width, 3))
 
 
 def render_frame(

@@ -10,11 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import vertex_normals
-from antdsl.bodies.shapes import joined, stone
+from antdsl.bodies.shapes import join_meshes, stone
 from antdsl.casting.picture_rays import PictureRays
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.looks import Scales
 from antdsl.outputs.pictures.model import Solid
 from antdsl.outputs.pictures.shading_rows import Floats
@@ -59,7 +59,7 @@ class Setting:
     parts: tuple[Part, ...]
 
 
-def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
+def make_setting(solids: tuple[Solid, ...], up: Array) -> Setting:
     """Return the ray scene of the solids; without solids, only the table."""
     parts: list[Part] = []
     everything = np.concatenate([solid.vertices for solid in solids if len(solid.vertices)] or [np.zeros((1, 3))])
@@ -73,27 +73,27 @@ def setting(solids: tuple[Solid, ...], up: Array) -> Setting:
         painted = None
         if solid.colour is not None:
             painted = np.ones((len(solid.vertices), 4), np.float32)
-            painted[:, :3] = decoded(np.asarray(solid.colour, np.float32))
+            painted[:, :3] = decode_srgb(np.asarray(solid.colour, np.float32))
             painted[~np.isfinite(painted).all(axis=1)] = 0
         vertices = np.asarray(solid.vertices, np.float64)
         kind = "figure" if solid.kind == "ground" and not floor else solid.kind
         parts.append(Part(vertices, solid.faces, looks.KINDS.index(kind), painted))
         if floor:
-            parts += _edges(vertices, solid.faces, up, base)
+            parts += _edge_walls(vertices, solid.faces, up, base)
     middle = (low + high) / 2
     parts.append(_table(middle, up, base, 30 * extent))
-    return _assembled(tuple(parts), middle, extent, base, up)
+    return _assemble(tuple(parts), middle, extent, base, up)
 
 
-def with_litter(still: Setting, view: View, scales: Scales) -> Setting:
+def with_pebbles(still: Setting, view: View, scales: Scales) -> Setting:
     """Return the setting with pebbles on its grounds where `view` is near enough to show them, else unchanged."""
     up = still.up.astype(np.float64)
-    pebbles = [litter(part.vertices, part.faces, up, view, scales) for part in still.parts if part.kind == looks.GROUND]
+    pebbles = [scatter_pebbles(part.vertices, part.faces, up, view, scales) for part in still.parts if part.kind == looks.GROUND]
     grains = [Part(points, faces, looks.GRAIN) for points, faces in filter(None, pebbles)]
-    return _assembled(still.parts + tuple(grains), still.middle, still.extent, still.base, up) if grains else still
+    return _assemble(still.parts + tuple(grains), still.middle, still.extent, still.base, up) if grains else still
 
 
-def _assembled(parts: tuple[Part, ...], middle: Array, extent: float, base: float, up: Array) -> Setting:
+def _assemble(parts: tuple[Part, ...], middle: Array, extent: float, base: float, up: Array) -> Setting:
     counts = np.cumsum([0] + [len(part.vertices) for part in parts])
     vertices = np.concatenate([part.vertices for part in parts])
     faces = np.concatenate([part.faces + start for part, start in zip(parts, counts[:-1], strict=True)]).astype(np.int32)
@@ -112,7 +112,7 @@ def is_floor(vertices: Array, faces: NDArray[np.int32], up: Array) -> bool:
     return float((across @ up).sum()) >= 0.5 * float(np.linalg.norm(across, axis=1).sum())
 
 
-def _edges(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[Part]:
+def _edge_walls(vertices: Array, faces: NDArray[np.int32], up: Array, base: float) -> list[Part]:
     """Walls from the open border of a floor down to the table."""
     pairs = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     key = np.minimum(pairs[:, 0], pairs[:, 1]) * len(vertices) + np.maximum(pairs[:, 0], pairs[:, 1])
@@ -145,7 +145,7 @@ def _shapes(detail: int) -> tuple[Array, NDArray[np.int32]]:
     return np.stack([vertices for vertices, _ in stones]), stones[0][1]
 
 
-def litter(
+def scatter_pebbles(
     vertices: Array, faces: NDArray[np.int32], up: Array, view: View, scales: Scales
 ) -> tuple[Array, NDArray[np.int32]] | None:
     """Return pebbles on the ground near the camera, as one mesh; None where none would be larger than a speck.
@@ -154,7 +154,7 @@ def litter(
     corners = vertices[faces]
     middle = corners.mean(axis=1)
     away = np.linalg.norm(middle - view.eye, axis=1)
-    if not len(faces) or view.pixel_at(np.maximum(away.min(), 1e-9)) * 4 > _LARGEST * scales.grain:
+    if not len(faces) or view.pixel_size(np.maximum(away.min(), 1e-9)) * 4 > _LARGEST * scales.grain:
         return None
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(across, axis=1) / 2
@@ -170,7 +170,7 @@ def litter(
     if not len(face):
         return None
     rank = np.arange(len(face)) - np.repeat(np.cumsum(count[near]) - count[near], count[near])
-    chance = _chances(face, rank)
+    chance = _random_numbers(face, rank)
     u, v = chance[:, 0], chance[:, 1]
     over = u + v > 1
     u, v = np.where(over, 1 - u, u), np.where(over, 1 - v, v)
@@ -178,12 +178,15 @@ def litter(
     size = scales.grain * _SMALLEST * (_LARGEST / _SMALLEST) ** (chance[:, 2] ** 5)
     normal = across[face] / (2 * area[face])[:, None]
     small = size < _FINE * scales.grain
-    return joined(
-        [_laid(place[rows], normal[rows], size[rows], chance[rows], detail) for rows, detail in ((small, 0), (~small, 1))]
+    return join_meshes(
+        [
+            _place_pebbles(place[rows], normal[rows], size[rows], chance[rows], detail)
+            for rows, detail in ((small, 0), (~small, 1))
+        ]
     )
 
 
-def _chances(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
+def _random_numbers(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
     """Return five numbers within 0..1 for each pebble, which depend on its triangle and its rank there only."""
     own = (face * _A_FACE + rank).astype(np.uint64)[:, None]
     key: NDArray[np.uint64] = np.add(own * np.uint64(5), np.arange(5, dtype=np.uint64), dtype=np.uint64)
@@ -194,7 +197,7 @@ def _chances(face: NDArray[np.int64], rank: NDArray[np.int64]) -> Array:
     return np.asarray(key.astype(np.float64) * 2.0**-53)
 
 
-def _laid(place: Array, normal: Array, size: Array, chance: Array, detail: int) -> tuple[Array, NDArray[np.int32]]:
+def _place_pebbles(place: Array, normal: Array, size: Array, chance: Array, detail: int) -> tuple[Array, NDArray[np.int32]]:
     shapes, faces = _shapes(detail)
     side = np.cross(normal, np.array([0.31, 0.72, 0.62]))
     side /= np.maximum(np.linalg.norm(side, axis=1, keepdims=True), 1e-12)

@@ -5,13 +5,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.picture_rays import PictureRays, Sights
+from antdsl.casting.picture_rays import PictureHits, PictureRays
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.actors import Actors
 from antdsl.outputs.pictures.camera import View
-from antdsl.outputs.pictures.light import LAMP, SUN, Sun, ambient, hazed, sky
+from antdsl.outputs.pictures.light import LAMP, SUN, Sun, ambient, apply_haze, sky
 from antdsl.outputs.pictures.looks import Scales
-from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, units
+from antdsl.outputs.pictures.shading_rows import Floats, dots, interpolate_vertices, units
 from antdsl.outputs.pictures.stage import Samples
 
 Rows = NDArray[np.int64]
@@ -40,10 +40,10 @@ def still_light(lighting: Lighting, samples: Samples, own: slice, albedo: Floats
     far, direction = samples.far[own], samples.direction[own]
     direct = samples.sun[own] * visible
     light = ambient(samples.upness[own]) * opened[:, None] + direct[:, None] * SUN
-    light += lamp(samples.facing[own], direct, opened)
+    light += lamp_light(samples.facing[own], direct, opened)
     light *= albedo
     light += samples.glow[own] * (0.25 + 0.75 * opened)[:, None]
-    light = hazed(light, far, direction, sun, _AIR * extent)
+    light = apply_haze(light, far, direction, sun, _AIR * extent)
     table = np.flatnonzero(samples.kind[own] == looks.TABLE)
     if len(table):  # lost in haze sooner, so that its end is never seen
         fade = 1 - np.exp(-np.square(far[table] / np.float32(_FLOOR * extent)))
@@ -54,14 +54,14 @@ def still_light(lighting: Lighting, samples: Samples, own: slice, albedo: Floats
     return light
 
 
-def lamp(facing: Floats, direct: Floats, opened: Floats) -> Floats:
+def lamp_light(facing: Floats, direct: Floats, opened: Floats) -> Floats:
     """Return light (n, 3) of a lamp beside the camera, where neither sun nor sky reach, so that tunnels and chambers are
     visible."""
     dark = np.clip(1.15 - 1.5 * opened, 0, 1) * np.clip(1 - 3 * direct, 0, 1)
     return np.asarray(LAMP * (dark * (0.25 + 0.75 * np.clip(facing, 0, 1)))[:, None])
 
 
-def shadowed(lighting: Lighting, samples: Samples, time_index: int, spot: Floats) -> Floats:
+def sun_visibility(lighting: Lighting, samples: Samples, time_index: int, spot: Floats) -> Floats:
     """Return 1 (n,) where no moving thing is between a sample and a point on the sun's disc at a moment, else 0."""
     visible = np.ones(len(samples), np.float32)
     if lighting.cast.size > 0:
@@ -73,26 +73,28 @@ def shadowed(lighting: Lighting, samples: Samples, time_index: int, spot: Floats
     return visible
 
 
-def moving_light(lighting: Lighting, hits: Sights, start: Floats, direction: Floats, time_index: int, spot: Floats) -> Floats:
+def moving_light(
+    lighting: Lighting, hits: PictureHits, start: Floats, direction: Floats, time_index: int, spot: Floats
+) -> Floats:
     """Return light (n, 3) along rays from `start` in direction `direction` (n, 3) that hit a moving thing.
 
     The material is a matt body with a coat that reflects sky, ground and sun; metal, which reflects more; or a light source."""
     mesh, sun = lighting.cast.mesh, lighting.sun
     corners = mesh.faces[hits.face]
-    normal = units(blended(mesh.normal, corners, hits.u, hits.v))
+    normal = units(interpolate_vertices(mesh.normal, corners, hits.u, hits.v))
     normal *= np.where(dots(normal, hits.normal) < 0, np.float32(-1), np.float32(1))[:, None]
-    colour = blended(mesh.colour, corners, hits.u, hits.v)
+    colour = interpolate_vertices(mesh.colour, corners, hits.u, hits.v)
     gloss = mesh.gloss[corners[:, 0]]
     where: Floats = start + hits.t[:, None] * direction
     where += hits.normal * np.float32(_LIFT * lighting.scales.extent)
     soil = np.flatnonzero(gloss == 0)
     if len(soil):
-        wide = np.asarray(lighting.view.pixel_at(hits.t[soil]), np.float32) * np.float32(0.6)
-        look = looks.soiled(colour[soil], normal[soil], where[soil], wide, lighting.scales)
+        wide = np.asarray(lighting.view.pixel_size(hits.t[soil]), np.float32) * np.float32(0.6)
+        look = looks.soil_look(colour[soil], normal[soil], where[soil], wide, lighting.scales)
         colour[soil], normal[soil] = look.albedo, look.normal
     facing = np.clip(normal @ sun.towards, 0, 1)
     facing *= np.clip((hits.normal @ sun.towards) * 6 + 0.6, 0, 1)
-    _hide(lighting, facing, where, time_index, spot)
+    _apply_shadow(lighting, facing, where, time_index, spot)
     upness = normal @ sun.up
     half = units(spot - direction)
     shine = (
@@ -106,13 +108,13 @@ def moving_light(lighting: Lighting, hits: Sights, start: Floats, direction: Flo
     coat[metal] = looks.schlick(normal[metal], direction[metal], 0.8)
     tint = np.where(metal[:, None], looks.STEEL, np.float32(1))
     light *= np.where(metal, np.float32(0.3), np.float32(1))[:, None]
-    light += looks.mirrored(normal, direction, sun) * (coat * near)[:, None] * tint
+    light += looks.reflected_light(normal, direction, sun) * (coat * near)[:, None] * tint
     light += shine[:, None] * SUN
     light[gloss < 0] = looks.LIT * looks.BRIGHT
-    return hazed(light, hits.t, direction, sun, _AIR * lighting.scales.extent)
+    return apply_haze(light, hits.t, direction, sun, _AIR * lighting.scales.extent)
 
 
-def _hide(lighting: Lighting, facing: Floats, where: Floats, time_index: int, spot: Floats) -> None:
+def _apply_shadow(lighting: Lighting, facing: Floats, where: Floats, time_index: int, spot: Floats) -> None:
     """Remove the sun from points (n, 3) where something hides it."""
     cast, threads = lighting.cast, lighting.threads
     lit = np.flatnonzero(facing > 0)

@@ -24,7 +24,7 @@ def units(a: Floats) -> Floats:
     return a * (1 / np.maximum(np.sqrt(dots(a, a)), np.float32(1e-12)))[:, None]
 
 
-def blended(table: Floats, corners: NDArray[np.int32], u: Floats, v: Floats) -> Floats:
+def interpolate_vertices(table: Floats, corners: NDArray[np.int32], u: Floats, v: Floats) -> Floats:
     """Return interpolated values (n, c) of a per-vertex `table` within faces with these `corners` (n, 3). `u` and `v` are the
     weights of the second and third corner."""
     total = table.take(corners[:, 0], axis=0)

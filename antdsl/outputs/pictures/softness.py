@@ -34,12 +34,12 @@ class Grid:
     edge: NDArray[np.bool_]
     hair: float
 
-    def halved(self) -> "Grid":
+    def halve(self) -> "Grid":
         """Every second pixel of every second row."""
         high, wide = self.view.height, self.view.width
         taken = (np.arange(0, high, 2)[:, None] * wide + np.arange(0, wide, 2)).reshape(-1)
         edge = self._near_edge_mask(1)[::2, ::2].reshape(-1)
-        return Grid(_smaller(self.view), self.point[taken], self.normal[taken], self.solid[taken], edge, self.hair)
+        return Grid(_half_view(self.view), self.point[taken], self.normal[taken], self.solid[taken], edge, self.hair)
 
     def _near_edge_mask(self, reach: int) -> NDArray[np.bool_]:
         """Pixels (h, w) with an edge, or the sky, within `reach` pixels."""
@@ -48,17 +48,17 @@ class Grid:
         broken = (self.edge | ~self.solid).reshape(self.view.height, self.view.width)
         return np.asarray(maximum_filter(broken, 2 * reach + 1))
 
-    def broken(self, pixels: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
+    def is_near_edge(self, pixels: NDArray[np.int64], reach: int) -> NDArray[np.bool_]:
         """Which pixels (n,) are near an edge."""
         return np.asarray(self._near_edge_mask(reach).reshape(-1)[pixels])
 
 
-def _smaller(view: View) -> View:
+def _half_view(view: View) -> View:
     high, wide = (view.height + 1) // 2, (view.width + 1) // 2
     return View(view.eye, view.right, view.above, view.ahead, view.half, wide, high, view.parallel)
 
 
-def sunlit(
+def sun_share(
     grid: Grid,
     facing: Floats,
     sun: Sun,
@@ -85,7 +85,7 @@ def sunlit(
         own = slice(None) if len(casts) == 1 else np.flatnonzero(_ORDER[number] % len(casts) == turn)
         hidden[pixels[own]] = _find_occluded(grid, pixels[own], spots[number[own]], cast, far, threads)
     share[hidden] = 0
-    mixed = pixels[_mixed(hidden.reshape(high, wide)).reshape(-1)[pixels]]
+    mixed = pixels[_partly_hidden(hidden.reshape(high, wide)).reshape(-1)[pixels]]
     if not len(mixed):
         return share
     row, column = np.divmod(mixed, wide)
@@ -95,7 +95,7 @@ def sunlit(
     for k in range(_FINE):
         occlusion += _find_occluded(grid, mixed, spots[4 * k + (block + k) % 4], casts[k % len(casts)], far, threads)
     share[mixed] = 1 - occlusion / _FINE
-    share[mixed] = _filtered(share.reshape(high, wide), mixed, grid, _NARROW_TAPS, facing > 0)
+    share[mixed] = _filter(share.reshape(high, wide), mixed, grid, _NARROW_TAPS, facing > 0)
     return share
 
 
@@ -113,7 +113,7 @@ def _find_occluded(
     return occluded
 
 
-def _mixed(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _partly_hidden(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return pixels with both hidden and visible pixels nearby."""
     from scipy.ndimage import maximum_filter, minimum_filter
 
@@ -122,7 +122,7 @@ def _mixed(hidden: NDArray[np.bool_]) -> NDArray[np.bool_]:
     return np.asarray(maximum_filter(values, size) != minimum_filter(values, size))
 
 
-def _filtered(
+def _filter(
     values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, counted: NDArray[np.bool_] | None = None
 ) -> Floats:
     """Return weighted means (n,) around pixels (n,) of `values` (h, w), over pixels where the surface continues and that are
@@ -131,17 +131,19 @@ def _filtered(
 
     even = convolve1d(convolve1d(values, taps, axis=0, mode="nearest"), taps, axis=1, mode="nearest")
     means = np.asarray(even.reshape(-1)[pixels], np.float32)
-    careful = np.flatnonzero(grid.broken(pixels, len(taps) // 2))
-    means[careful] = _along(values, pixels[careful], grid, taps, counted)
+    careful = np.flatnonzero(grid.is_near_edge(pixels, len(taps) // 2))
+    means[careful] = _filter_at_edges(values, pixels[careful], grid, taps, counted)
     return means
 
 
-def _along(values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, counted: NDArray[np.bool_] | None) -> Floats:
+def _filter_at_edges(
+    values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, counted: NDArray[np.bool_] | None
+) -> Floats:
     """The same where the surface may end."""
     high, wide = values.shape
     row, column = np.divmod(pixels, wide)
     normal, point = grid.normal[pixels], grid.point[pixels]
-    allowed = _allowed(grid, point)
+    allowed = _plane_tolerance(grid, point)
     total, weight = np.zeros(len(pixels), np.float32), np.full(len(pixels), 1e-9, np.float32)
     reach = len(taps) // 2
     for down in range(-reach, reach + 1):
@@ -151,7 +153,7 @@ def _along(values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, 
             neighbour = np.where(inside, there_row * wide + there_column, pixels)
             share = np.float32(taps[down + reach] * taps[right + reach]) * (inside & grid.solid[neighbour])
             if down or right:
-                share *= _goes_on(grid, neighbour, point, normal, allowed)
+                share *= _is_same_surface(grid, neighbour, point, normal, allowed)
                 if counted is not None:
                     share *= counted[neighbour]
             total += share * values.reshape(-1)[neighbour]
@@ -159,13 +161,15 @@ def _along(values: Floats, pixels: NDArray[np.int64], grid: Grid, taps: Floats, 
     return total / weight
 
 
-def _allowed(grid: Grid, point: Floats) -> Floats:
+def _plane_tolerance(grid: Grid, point: Floats) -> Floats:
     """How far off the plane through a point its neighbours may lie: some pixels' widths there."""
     depth = np.maximum((point - grid.view.eye.astype(np.float32)) @ grid.view.ahead.astype(np.float32), 0)
-    return np.asarray(6 * grid.view.pixel_at(depth), np.float32)
+    return np.asarray(6 * grid.view.pixel_size(depth), np.float32)
 
 
-def _goes_on(grid: Grid, neighbour: NDArray[np.int64], point: Floats, normal: Floats, allowed: Floats) -> NDArray[np.bool_]:
+def _is_same_surface(
+    grid: Grid, neighbour: NDArray[np.int64], point: Floats, normal: Floats, allowed: Floats
+) -> NDArray[np.bool_]:
     alike = dots(normal, grid.normal[neighbour]) > _ALIKE
     alike &= np.abs(dots(grid.point[neighbour] - point, normal)) < allowed
     return np.asarray(alike)
@@ -179,29 +183,29 @@ def open_share(
     `count` rays are cast at every second pixel of every second row; values between are interpolated along surfaces. `within` (h ·
     w,): the pixels that may have something near; others do not."""
     high, wide = grid.view.height, grid.view.width
-    small = grid.halved()
+    small = grid.halve()
     small_mask = None if within is None else within.reshape(high, wide)[::2, ::2].reshape(-1)
     pixels = np.flatnonzero(small.solid if small_mask is None else small.solid & small_mask)
     shade = np.ones(len(small.solid), np.float32)
     if not len(pixels):
         return np.ones(high * wide, np.float32)
     row, column = np.divmod(pixels, small.view.width)
-    shade[pixels] = _opened(small, pixels, _ORDER[(row % 4) * 4 + column % 4], rays, reach, count, threads)
-    shade[pixels] = _filtered(shade.reshape(small.view.height, small.view.width), pixels, small, _WIDE_TAPS)
-    return _filled(grid, small, shade, rays, reach, threads, within)
+    shade[pixels] = _sampled_open_share(small, pixels, _ORDER[(row % 4) * 4 + column % 4], rays, reach, count, threads)
+    shade[pixels] = _filter(shade.reshape(small.view.height, small.view.width), pixels, small, _WIDE_TAPS)
+    return _fill_shade(grid, small, shade, rays, reach, threads, within)
 
 
-def _opened(
+def _sampled_open_share(
     grid: Grid, pixels: NDArray[np.int64], pick: NDArray[np.int64], rays: PictureRays, reach: float, count: int, threads: int
 ) -> Floats:
-    directions = _spread(count)
+    directions = _hemisphere_directions(count)
     opened = np.empty(len(pixels), np.float32)
 
     def fill(own: slice) -> None:
         own_pixels = pixels[own]
         normal = grid.normal[own_pixels]
         start = grid.point[own_pixels] + normal * np.float32(grid.hair)
-        side, other = _across(normal)
+        side, other = _tangent_axes(normal)
         occlusion = np.zeros(len(own_pixels), np.float32)
         for ray in range(count):
             aim = directions[ray * 16 + pick[own]]
@@ -214,29 +218,29 @@ def _opened(
     return opened
 
 
-def _filled(
+def _fill_shade(
     grid: Grid, small: Grid, shade: Floats, rays: PictureRays, reach: float, threads: int, within: NDArray[np.bool_] | None = None
 ) -> Floats:
     """Return the shade of all pixels from every second one; by separate rays where no neighbour is on the same surface."""
     high, wide = grid.view.height, grid.view.width
-    full = _between(shade.reshape(small.view.height, small.view.width), high, wide)
+    full = _upsample(shade.reshape(small.view.height, small.view.width), high, wide)
     full[~grid.solid] = 1
     targets = np.flatnonzero(grid.solid if within is None else grid.solid & within)
-    targets = targets[grid.broken(targets, 2)]
+    targets = targets[grid.is_near_edge(targets, 2)]
     lonely: list[NDArray[np.int64]] = []
 
     def fill(own: slice) -> None:
         pixels = targets[own]
         row, column = np.divmod(pixels, wide)
         point, normal = grid.point[pixels], grid.normal[pixels]
-        allowed = 2 * _allowed(grid, point)
+        allowed = 2 * _plane_tolerance(grid, point)
         total, weight = np.zeros(len(pixels), np.float32), np.zeros(len(pixels), np.float32)
         for down in (0, 1):
             for right in (0, 1):
                 there_row = np.minimum(row // 2 + down * (row % 2), small.view.height - 1)
                 there_column = np.minimum(column // 2 + right * (column % 2), small.view.width - 1)
                 neighbour = there_row * small.view.width + there_column
-                share = (small.solid[neighbour] & _goes_on(small, neighbour, point, normal, allowed)).astype(np.float32)
+                share = (small.solid[neighbour] & _is_same_surface(small, neighbour, point, normal, allowed)).astype(np.float32)
                 total += share * shade[neighbour]
                 weight += share
         full[pixels] = total / np.maximum(weight, 1e-9)
@@ -245,11 +249,11 @@ def _filled(
     each(fill, pieces(len(targets)), threads)
     alone = np.sort(np.concatenate(lonely)) if lonely else np.zeros(0, np.int64)
     if len(alone):
-        full[alone] = _opened(grid, alone, np.zeros(len(alone), np.int64), rays, reach, 16, threads)
+        full[alone] = _sampled_open_share(grid, alone, np.zeros(len(alone), np.int64), rays, reach, 16, threads)
     return full
 
 
-def _between(small: Floats, high: int, wide: int) -> Floats:
+def _upsample(small: Floats, high: int, wide: int) -> Floats:
     """Return values (h · w,) by linear interpolation from those of every second pixel."""
     rows = np.empty((2 * small.shape[0], small.shape[1]), np.float32)
     rows[::2] = small
@@ -260,7 +264,7 @@ def _between(small: Floats, high: int, wide: int) -> Floats:
     return np.ascontiguousarray(full[:high, :wide]).reshape(-1)
 
 
-def _spread(count: int) -> Floats:
+def _hemisphere_directions(count: int) -> Floats:
     """Return directions (count · 16, 3) over the upper hemisphere, denser towards its pole; each 16 consecutive ones differ as
     much as possible."""
     k = np.arange(count * 16)
@@ -271,7 +275,7 @@ def _spread(count: int) -> Floats:
     return np.stack([flat * np.cos(turn), flat * np.sin(turn), height], axis=1).astype(np.float32)
 
 
-def _across(normal: Floats) -> tuple[Floats, Floats]:
+def _tangent_axes(normal: Floats) -> tuple[Floats, Floats]:
     """Two unit axes across each normal (Duff et al., Building an Orthonormal Basis, Revisited, JCGT 6(1), 2017)."""
     x, y, z = normal.T
     sign = np.where(z >= 0, np.float32(1), np.float32(-1))

@@ -6,14 +6,14 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.picture_rays import Sights
+from antdsl.casting.picture_rays import PictureHits
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import Sun
-from antdsl.outputs.pictures.looks import Scales, surface
-from antdsl.outputs.pictures.setting import Setting, with_litter
-from antdsl.outputs.pictures.shading_rows import Floats, blended, dots, each, pieces, units
-from antdsl.outputs.pictures.softness import Grid, open_share, sunlit
+from antdsl.outputs.pictures.looks import Scales, surface_look
+from antdsl.outputs.pictures.setting import Setting, with_pebbles
+from antdsl.outputs.pictures.shading_rows import Floats, dots, each, interpolate_vertices, pieces, units
+from antdsl.outputs.pictures.softness import Grid, open_share, sun_share
 
 SHADE_RAYS = 6  # of every fourth pixel, each of 16 of which asks in other directions
 _SHADE_REACH = 11  # body lengths within which things shade each other
@@ -43,7 +43,7 @@ class Samples:
         return len(self.pixel)
 
     @property
-    def trailed(self) -> NDArray[np.int64]:
+    def trail_rows(self) -> NDArray[np.int64]:
         """Samples on which a field's colour may lie."""
         return np.flatnonzero(np.isfinite(self.far) & np.isin(self.kind, looks.TRAILED))
 
@@ -67,18 +67,18 @@ class Stage:
     fine: dict[tuple[int, int], Samples] = field(default_factory=dict)
     stays: bool = False
 
-    def sampled(self, number: int, count: int, threads: int) -> Samples:
+    def edge_samples(self, number: int, count: int, threads: int) -> Samples:
         """Sample `number` of `count` of all pixels at edges."""
         key = (number, count)
-        sample_set = self.fine.get(key) or self.look(self.edges, number, count, threads)
+        sample_set = self.fine.get(key) or self.sample_pixels(self.edges, number, count, threads)
         if self.stays and key not in self.fine:
             self.fine = {known: samples for known, samples in self.fine.items() if known[1] == count} | {key: sample_set}
         return sample_set
 
-    def look(self, pixels: NDArray[np.int64], number: int, count: int, threads: int) -> Samples:
+    def sample_pixels(self, pixels: NDArray[np.int64], number: int, count: int, threads: int) -> Samples:
         """Return sample `number` of `count` of some pixels, with a separate ray to the sun."""
-        across, down = spot(number, count)
-        samples = _looked(self.setting, self.view, pixels, (across, down), self.sun, self.scales, threads)
+        across, down = pixel_offset(number, count)
+        samples = _sample_at(self.setting, self.view, pixels, (across, down), self.sun, self.scales, threads)
         lit = np.flatnonzero(samples.sun > 0)
         start = samples.point[lit] + samples.normal[lit] * np.float32(self.grid.hair)
         aim = np.broadcast_to(self.sun.spots(count)[number], start.shape)
@@ -86,7 +86,7 @@ class Stage:
         return samples
 
 
-def spot(number: int, count: int) -> tuple[float, float]:
+def pixel_offset(number: int, count: int) -> tuple[float, float]:
     """Return the position of sample `number` of `count` in a pixel: the lattice of Roberts' sequence R2, which is even for any
     count."""
     return (0.5 + (number + 1) * 0.7548776662466927) % 1.0, (0.5 + (number + 1) * 0.5698402909980532) % 1.0
@@ -94,17 +94,17 @@ def spot(number: int, count: int) -> tuple[float, float]:
 
 def stage(setting: Setting, view: View, sun: Sun, scales: Scales, threads: int) -> Stage:
     """Cast and colour everything static."""
-    setting = with_litter(setting, view, scales)
-    middle = _looked(setting, view, np.arange(view.width * view.height), (0.5, 0.5), sun, scales, threads)
+    setting = with_pebbles(setting, view, scales)
+    middle = _sample_at(setting, view, np.arange(view.width * view.height), (0.5, 0.5), sun, scales, threads)
     solid = np.isfinite(middle.far)
     edge = _edges(view, middle, solid)
     grid = Grid(view, middle.point, middle.normal, solid, edge, 3e-5 * scales.extent)
-    middle.sun[:] *= sunlit(grid, middle.sun, sun, [setting.rays], np.inf, threads)
+    middle.sun[:] *= sun_share(grid, middle.sun, sun, [setting.rays], np.inf, threads)
     shade = open_share(grid, setting.rays, _SHADE_REACH * scales.grain, SHADE_RAYS, threads)
     return Stage(setting, view, middle, grid, shade, np.flatnonzero(edge), sun, scales)
 
 
-def _looked(
+def _sample_at(
     setting: Setting, view: View, pixels: NDArray[np.int64], place: tuple[float, float], sun: Sun, scales: Scales, threads: int
 ) -> Samples:
     """Return samples of `pixels` at one position in each, before shadows."""
@@ -136,19 +136,19 @@ def _looked(
 
 
 def _surfaces(
-    setting: Setting, view: View, hits: Sights, direction: Floats, where: Floats, hit_rows: NDArray[np.int64], scales: Scales
+    setting: Setting, view: View, hits: PictureHits, direction: Floats, where: Floats, hit_rows: NDArray[np.int64], scales: Scales
 ) -> tuple[looks.Surface, Floats]:
     """The look of the samples that meet something, and the smooth normal without grain."""
     face = hits.face[hit_rows]
     corners = setting.faces[face]
     flat, u, v = hits.normal[hit_rows], hits.u[hit_rows], hits.v[hit_rows]
-    smooth = units(blended(setting.normal, corners, u, v))
+    smooth = units(interpolate_vertices(setting.normal, corners, u, v))
     smooth *= np.where(dots(smooth, flat) < 0, np.float32(-1), np.float32(1))[:, None]
-    pixel = np.asarray(view.pixel_at(hits.t[hit_rows]), np.float32) * np.float32(0.6)
+    pixel = np.asarray(view.pixel_size(hits.t[hit_rows]), np.float32) * np.float32(0.6)
     # Seen along the ground a pixel covers more of it.
     pixel /= np.sqrt(np.clip(-dots(flat, direction), 0.04, 1.0))
-    painted = blended(setting.painted, corners, u, v)
-    look = surface(setting.kind[face], where, smooth.copy(), setting.up, pixel, scales, painted)
+    painted = interpolate_vertices(setting.painted, corners, u, v)
+    look = surface_look(setting.kind[face], where, smooth.copy(), setting.up, pixel, scales, painted)
     return look, np.where((dots(smooth, flat) > 0.1)[:, None], smooth, flat)
 
 
@@ -158,7 +158,7 @@ def _edges(view: View, middle: Samples, solid: NDArray[np.bool_]) -> NDArray[np.
     edges = np.zeros((high, wide), np.bool_)
     normal, point = middle.normal.reshape(high, wide, 3), middle.point.reshape(high, wide, 3)
     kind = np.where(solid, middle.kind, 255).reshape(high, wide)
-    width = np.asarray(view.pixel_at(np.where(solid, middle.far, 0)), np.float32).reshape(high, wide) * _STEP
+    width = np.asarray(view.pixel_size(np.where(solid, middle.far, 0)), np.float32).reshape(high, wide) * _STEP
     for one_side, other_side in ((np.s_[:, :-1], np.s_[:, 1:]), (np.s_[:-1], np.s_[1:])):
         is_edge = np.einsum("abc,abc->ab", normal[one_side], normal[other_side]) < _TURNED
         gap = point[other_side] - point[one_side]

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.looks import SOIL
 from antdsl.outputs.pictures.model import Trail
 from antdsl.outputs.pictures.shading_rows import Floats, pieces
@@ -17,7 +17,7 @@ _LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # of linear sRGB
 _GRAINS = (0.5, 1.6)  # times the light of soil
 
 
-class TrailCloth:
+class TrailVoxels:
     """The voxels of a trail's cells, between the corners `low` and `high` (3,): created once per camera, coloured in each
     frame."""
 
@@ -29,14 +29,14 @@ class TrailCloth:
         self.shape = tuple(int(v) for v in np.ceil((high - low) / self.cell) + 4)
         self._cells: Array | None = None
 
-    def soak(self, trail: Trail) -> None:
+    def spread_trail(self, trail: Trail) -> None:
         """Distribute a trail over the voxels. Cells are not on a lattice, so each is distributed over the eight voxels around
         it."""
         if self._cells is not trail.position:
             self._cells = trail.position
             self._spread = _Spread(trail.position, self.low, self.cell, self.shape)
-            self._weight = self._spread.onto(np.ones(len(trail.position), np.float32))
-        self._scent = self._spread.onto(cover(trail))
+            self._weight = self._spread.spread(np.ones(len(trail.position), np.float32))
+        self._scent = self._spread.spread(ground_cover(trail))
 
     def share(self, points: Floats) -> Floats:
         """Return the share of the ground (n,) that the trail covers at points (n, 3), 0..1; near cells have more weight."""
@@ -64,30 +64,30 @@ class Dyes:
     """The colours of fields on everything that one camera sees. All points lie approximately where its `middle` samples are."""
 
     def __init__(self, middle: Samples) -> None:
-        self._own, self._kept = middle, middle.trailed
+        self._own, self._kept = middle, middle.trail_rows
         points = middle.point[self._kept]
         if len(points):
             self._low, self._high = points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64)
-        self._cloths: dict[tuple[str, float], TrailCloth] = {}
+        self._cloths: dict[tuple[str, float], TrailVoxels] = {}
         self._trails: list[Trail] = []
 
-    def wet(self, trails: tuple[Trail, ...]) -> None:
+    def set_trails(self, trails: tuple[Trail, ...]) -> None:
         """Takes the trails of a frame."""
         self._trails = [each for each in trails if len(self._kept) and len(each.position) and (each.strength > 0).any()]
         for trail in self._trails:
-            cloth = self._cloths.setdefault((trail.name, trail.cell), TrailCloth(self._low, self._high, trail.cell))
-            cloth.soak(trail)
+            cloth = self._cloths.setdefault((trail.name, trail.cell), TrailVoxels(self._low, self._high, trail.cell))
+            cloth.spread_trail(trail)
 
-    def coloured(self, samples: Samples) -> Floats:
+    def colour_samples(self, samples: Samples) -> Floats:
         """Colours (n, 3) of samples with the trails on them."""
         if not self._trails:
             return samples.albedo
-        rows = self._kept if samples is self._own else samples.trailed
+        rows = self._kept if samples is self._own else samples.trail_rows
         colours, points = samples.albedo[rows], samples.point[rows]
         for trail in self._trails:
             cloth = self._cloths[trail.name, trail.cell]
             for own in pieces(len(rows)):
-                colours[own] = dyed(colours[own], cloth.share(points[own]), trail)
+                colours[own] = dye_ground(colours[own], cloth.share(points[own]), trail)
         albedo = samples.albedo.copy()
         albedo[rows] = colours
         return albedo
@@ -108,7 +108,7 @@ class _Spread:
         sides = [np.stack([1 - part[:, axis], part[:, axis]]) for axis in range(3)]
         self.weights = [(sides[0][i] * sides[1][j] * sides[2][k]) for i in (0, 1) for j in (0, 1) for k in (0, 1)]
 
-    def onto(self, values: Floats) -> Floats:
+    def spread(self, values: Floats) -> Floats:
         """The voxels, each the weighted sum of the values (n,) near it."""
         voxels = np.zeros(self.size, np.float32)
         for step, weight in zip(self.steps, self.weights, strict=True):
@@ -116,24 +116,24 @@ class _Spread:
         return voxels
 
 
-def robust_full(strength: Array) -> float:
+def robust_full_strength(strength: Array) -> float:
     """Return the strength to draw strongest: 70 % of all scent lies in cells of at least this strength, whatever the extent of
     faint scent; 0 without scent."""
     held = np.sort(np.asarray(strength, np.float64)[np.asarray(strength) > 0])
     return float(held[np.searchsorted(np.cumsum(held), 0.3 * held.sum())]) if len(held) else 0.0
 
 
-def full_of(trail: Trail) -> float:
+def full_strength(trail: Trail) -> float:
     """The strength that is drawn strongest."""
-    return trail.full if trail.full is not None else robust_full(trail.strength)
+    return trail.full if trail.full is not None else robust_full_strength(trail.strength)
 
 
-def cover(trail: Trail) -> Floats:
+def ground_cover(trail: Trail) -> Floats:
     """Share of the ground (n,) that each cell's scent covers."""
-    return cover_of(trail.strength, full_of(trail))
+    return cover_of_strengths(trail.strength, full_strength(trail))
 
 
-def cover_of(strength: Array, full: float) -> Floats:
+def cover_of_strengths(strength: Array, full: float) -> Floats:
     """Return the shares (n,) of the ground that strengths (n,) cover.
 
     Scent spans many powers of ten, and agents follow faint scent too. The exponent 0.4 shows a thousandth of the strongest as a
@@ -142,8 +142,10 @@ def cover_of(strength: Array, full: float) -> Floats:
     return np.asarray(share, np.float32)
 
 
-def dyed(albedo: Floats, share: Floats, trail: Trail) -> Floats:
+def dye_ground(albedo: Floats, share: Floats, trail: Trail) -> Floats:
     """Return linear ground colours (n, 3) with the trail on them. Its strongest part covers two thirds of the ground's colour,
     and follows the brightness of the grains below it."""
     light = np.clip((albedo @ _LUMINANCE) / np.float32(SOIL @ _LUMINANCE), *_GRAINS)
-    return np.asarray(albedo + (decoded(trail.colour) * light[:, None] - albedo) * (_MOST_COVERED * share)[:, None], np.float32)
+    return np.asarray(
+        albedo + (decode_srgb(trail.colour) * light[:, None] - albedo) * (_MOST_COVERED * share)[:, None], np.float32
+    )

@@ -13,15 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import Clip
-from antdsl.bodies.agents.machine_clips import Played
+from antdsl.bodies.agents.machine_clips import PlayedClip
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.usd.materials import DrawnBody, Looks, alone
+from antdsl.outputs.usd.materials import DrawnBody, Looks, single_clip
 from antdsl.outputs.usd.moments import Agents
-from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Array, Out, identifier, mesh, vectors
+from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Array, StageOutput, identifier, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 
 SAMPLES = 16  # of a clip on the whole body
@@ -34,18 +34,18 @@ _FINE = 1500  # triangles above which the coarse body is taken
 class Bank:
     """The poses of one species, as classes, and its prototypes, below the path of its instancer."""
 
-    def __init__(self, out: Out, species: SpeciesEntry, close: bool = False) -> None:
+    def __init__(self, out: StageOutput, species: SpeciesEntry, close: bool = False) -> None:
         self._stage, self._name, self._close = out.stage, out.name("species", species.name), close
-        self._bodies: list[tuple[PosedBody, _Drawn]] = []
+        self._bodies: list[tuple[PosedBody, _PoseBody]] = []
         self._numbers: dict[tuple[int, ...], int] = {}
         self._poses: dict[tuple[int, ...], str] = {}
         self.paths: list[str] = []
         self.reach = 0.0
         states = species.machines[0].states if species.machines else ()
-        self._colours = decoded(np.array([state.colour for state in states] or [(0.35, 0.35, 0.35)]))
+        self._colours = decode_srgb(np.array([state.colour for state in states] or [(0.35, 0.35, 0.35)]))
         self._states = [identifier(state.name) for state in states]
 
-    def numbers(self, agents: Agents) -> NDArray[np.int32]:
+    def prototype_numbers(self, agents: Agents) -> NDArray[np.int32]:
         """Return the prototype of each agent, int32[n]: an index of `paths`."""
         found = np.zeros(len(agents.ids), np.int32)
         for rows, keys, which in self._keys(agents):
@@ -69,9 +69,9 @@ class Bank:
             if crowd.worn is None:
                 continue
             speed = np.linalg.norm(agents.own_velocity[rows], axis=1) / np.maximum(agents.scale[rows], 1e-12)
-            body_codes, *on_parts = played(crowd.worn, crowd, speed)
+            body_codes, *on_parts = played_codes(crowd.worn, crowd, speed)
             columns = [state[rows], body_codes, *(on_parts if len(self.paths) < _MOST else ())]
-            kinds, which = _kinds(np.stack(columns, axis=1).astype(np.int64))
+            kinds, which = _unique_rows(np.stack(columns, axis=1).astype(np.int64))
             body = self._body(crowd.worn)
             yield rows, [(body, *kind) for kind in kinds.tolist()], which
 
@@ -80,7 +80,7 @@ class Bank:
             if known is worn:
                 return number
         name = self._name + (f"_{len(self._bodies) + 1}" if self._bodies else "")
-        self._bodies.append((worn, _Drawn(self._stage, name, worn, self._close)))
+        self._bodies.append((worn, _PoseBody(self._stage, name, worn, self._close)))
         return len(self._bodies) - 1
 
     def _pose(self, body: int, *played: int) -> str:
@@ -99,19 +99,19 @@ class Bank:
             named = self._states[state] if 0 <= state < len(self._states) else "none"
             path = f"{ROOT}/{self._name}/prototypes/p{len(self.paths):04d}_{named}"
             colour = self._colours[state if 0 <= state < len(self._colours) else 0]
-            coloured(self._stage, path, self._pose(body, *played)).Set(vectors(colour[None]))
+            add_coloured_mesh(self._stage, path, self._pose(body, *played)).Set(vectors(colour[None]))
             self.paths.append(path)
         return self._numbers[key]
 
 
-def coloured(stage: Any, path: str, pose: str) -> Any:
+def add_coloured_mesh(stage: Any, path: str, pose: str) -> Any:
     """Return a mesh that shows a pose and is loaded where it is drawn. Materials of states use its primvar displayColor."""
     prim = stage.DefinePrim(path, "Mesh")
     prim.GetPayloads().AddInternalPayload(pose)
     return pxr("UsdGeom").PrimvarsAPI(prim).CreatePrimvar("displayColor", pxr("Sdf").ValueTypeNames.Color3fArray, "constant")
 
 
-class _Drawn:
+class _PoseBody:
     """A body that poses are written of."""
 
     def __init__(self, stage: Any, name: str, worn: PosedBody, close: bool) -> None:
@@ -123,23 +123,23 @@ class _Drawn:
 
     def write(self, number: int, played: list[int]) -> tuple[str, float]:
         """Write the mesh of a pose. Return its path and its reach in body lengths."""
-        machines = [alone(np.array([p // (SAMPLES + 1) - 1]), np.array([p % (SAMPLES + 1) / SAMPLES])) for p in played]
+        machines = [single_clip(np.array([p // (SAMPLES + 1) - 1]), np.array([p % (SAMPLES + 1) / SAMPLES])) for p in played]
         poses: Poses = self._drawn.body.poses(machines, 1)
-        points, normals = (each[0] for each in self._drawn.body.shaped(poses))
+        points, normals = (each[0] for each in self._drawn.body.shape_points(poses))
         path = f"{self._path}/pose_{number:04d}"
         usd_mesh = mesh(self._stage, path, points, self._drawn.faces, normals, self._drawn.uvs)
         self._looks.bind_faces(usd_mesh, self._drawn.names, self._drawn.material)
         return path, float(np.linalg.norm(points, axis=1).max(initial=0.0))
 
 
-def bank_clips(worn: PosedBody) -> list[Played]:
+def bank_clips(worn: PosedBody) -> list[PlayedClip]:
     """Return the clips for poses of a bank: those that the species plays, the idle clip, and the walking clips."""
     clips = worn.definition.clips
-    strides = [Played(name) for name, clip in clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
-    return [*(Played(*each) for each in worn.clips), Played(worn.definition.idle), *strides]
+    strides = [PlayedClip(name) for name, clip in clips.items() if clip.loop and clip.stride > 0 and clip.duration > 0]
+    return [*(PlayedClip(*each) for each in worn.clips), PlayedClip(worn.definition.idle), *strides]
 
 
-def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> list[NDArray[np.int64]]:
+def played_codes(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> list[NDArray[np.int64]]:
     """Return what the bodies of a crowd play, int64[n] each: first the topmost clip on the whole body, then for each machine the
     clip on a transform group.
 
@@ -166,7 +166,7 @@ def played(worn: PosedBody, crowd: Crowd, speed: NDArray[np.float64] | None) -> 
         if part.any():
             on_parts.append(part)
     if crowd.feet is not None and speed is not None and len(clips) > len(worn.clips) + 1:
-        body_codes = _going(worn, clips, body_codes, crowd.feet.phase.astype(np.float64), speed)
+        body_codes = _with_walking_clips(worn, clips, body_codes, crowd.feet.phase.astype(np.float64), speed)
     return [body_codes, *on_parts]
 
 
@@ -179,7 +179,7 @@ def _code(clip: NDArray[np.int64], turns: NDArray[np.float64], loops: Array, ste
     return codes
 
 
-def _going(
+def _with_walking_clips(
     worn: PosedBody,
     clips: list[Clip | None],
     body_codes: NDArray[np.int64],
@@ -198,7 +198,7 @@ def _going(
     return moving_codes
 
 
-def _kinds(table: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
+def _unique_rows(table: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
     """Return the distinct rows of a table, and the index of each row among them."""
     packed = np.zeros(len(table), np.int64)
     for column in table.T:

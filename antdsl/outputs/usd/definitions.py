@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.bodies.agents.blend_shapes import difference, knots_of, matched, values_of
+from antdsl.bodies.agents.blend_shapes import attribute_difference, knots_of, match_points, values_of
 from antdsl.bodies.agents.definition import Binding, Definition, Shape
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.usd.materials import DrawnBody, Looks
-from antdsl.outputs.usd.values import Array, free, identifier, integers, matrices, matrix, mesh, vectors
+from antdsl.outputs.usd.values import Array, identifier, integers, make_unique, matrices, matrix, mesh, vectors
 from antdsl.scene.geometry.usd import pxr
 
 _SAME = 1e-5  # body lengths by which bind poses may differ and be one
@@ -54,23 +54,23 @@ def write_definition(stage: Any, path: str, body: PosedBody, looks: Looks, close
     )
     skel_definition = SkelDefinition(path, joints, tuple(channels))
     rig = pxr("UsdGeom").Xform.Define(stage, f"{path}/rig")
-    rig.AddTransformOp().Set(matrix(definition.base()))
+    rig.AddTransformOp().Set(matrix(definition.base_matrix()))
     skeletons = _Skeletons(stage, f"{path}/rig", definition, joints)
     for name, each in details.items():
         pxr("UsdGeom").Xform.Define(stage, f"{path}/rig/{name}")
         names: set[str] = set()
         for binding in drawn[name]:
-            shape = free(identifier(binding.shape), names)
+            shape = make_unique(identifier(binding.shape), names)
             _write_shape(stage, f"{path}/rig/{name}/{shape}", each.shaded, binding, skeletons, looks, skel_definition)
     root.CreateExtentAttr(vectors(DrawnBody(body).extent()))
     if len(details) > 1:
         chosen = "close" if close else "crowd"
-        _choices(root.GetPrim(), list(details), chosen)
+        _add_variants(root.GetPrim(), list(details), chosen)
         skel_definition.tinted = [below for below in skel_definition.tinted if below.startswith(f"rig/{chosen}/")]
     return skel_definition
 
 
-def _choices(prim: Any, names: list[str], chosen: str) -> None:
+def _add_variants(prim: Any, names: list[str], chosen: str) -> None:
     """Add variants, each of which hides the others."""
     variants = prim.GetVariantSets().AddVariantSet("detail")
     for name in names:
@@ -89,7 +89,7 @@ def joint_paths(definition: Definition) -> tuple[str, ...]:
     taken: set[str] = set()
     for name, parent in zip(definition.rig.names, definition.rig.parents.tolist(), strict=True):
         above = f"{paths[parent]}/" if parent >= 0 else ""
-        paths.append(free(above + identifier(name), taken))
+        paths.append(make_unique(above + identifier(name), taken))
     return tuple(paths)
 
 
@@ -109,7 +109,7 @@ class _Skeletons:
         self._stage, self._path, self._definition, self._joints = stage, path, definition, joints
         self._rest, self._made = rest_world(definition), list[tuple[str, Array, Array, Any]]()
 
-    def holding(self, shape: Shape) -> str:
+    def find_or_add(self, shape: Shape) -> str:
         """Return the path of a skeleton with the bind pose of a shape; make it, or fill it in, if there is none yet."""
         capture = shape.capture
         numbers = [self._definition.rig.joint(name) for name in capture.names] if capture else []
@@ -156,8 +156,8 @@ def _write_shape(
     api = pxr("UsdSkel").BindingAPI.Apply(drawn.GetPrim())
     steps = binding.deformer.split("+") if binding.deformer else []
     skinned = [step for step in steps if step.endswith("skinning")]
-    _tell(skel_definition, binding, shape, steps)
-    skeleton = skeletons.holding(shape if skinned else Shape(shape.name, shape.points, shape.faces))
+    _note_differences(skel_definition, binding, shape, steps)
+    skeleton = skeletons.find_or_add(shape if skinned else Shape(shape.name, shape.points, shape.faces))
     api.CreateSkeletonRel().SetTargets([skeleton])
     if skinned and shape.capture is not None:
         _write_capture(api, definition, shape)
@@ -172,7 +172,7 @@ def _write_shape(
         _write_blends(stage, path, api, definition, shape)
 
 
-def _tell(skel_definition: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
+def _note_differences(skel_definition: SkelDefinition, binding: Binding, shape: Shape, steps: list[str]) -> None:
     """Note, once for a binding, what UsdSkel does differently."""
     if "dualquatblendskinning" in steps:
         skel_definition.notes.append(
@@ -203,12 +203,12 @@ def _write_blends(stage: Any, path: str, api: Any, definition: Definition, shape
     targets: list[Any] = []
     taken = {"st"}
     for name in blend.shapes:
-        each = f"{path}/{free(identifier(name), taken)}"
+        each = f"{path}/{make_unique(identifier(name), taken)}"
         blend_shape = skel.BlendShape.Define(stage, each)
         shapes, weights = knots_of(definition, name)
         for target, weight in zip(shapes, weights.tolist(), strict=True):
             into = blend_shape if weight == 1.0 else blend_shape.CreateInbetween(identifier(target.name))
-            rows, other = matched(shape, target, blend.point_id)
+            rows, other = match_points(shape, target, blend.point_id)
             offsets = _offsets(shape, target, "P", rows, other, blend.attributes)
             normals = _offsets(shape, target, "N", rows, other, blend.attributes)
             if weight == 1.0:
@@ -227,5 +227,5 @@ def _offsets(base: Shape, target: Shape, name: str, rows: Array, other: Array, b
     """Return the offsets float32[P, 3] from the points of the base to those of another shape."""
     offsets = np.zeros((len(base.points), 3), np.float32)
     if name in blended and values_of(base, name) is not None and values_of(target, name) is not None:
-        offsets[rows] = difference(base, target, name, rows, other).T
+        offsets[rows] = attribute_difference(base, target, name, rows, other).T
     return offsets

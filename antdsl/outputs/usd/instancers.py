@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.outputs.paths import matched
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.paths import match_ids
+from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.usd.bank import Bank
 from antdsl.outputs.usd.moments import Agents, TimeSample
-from antdsl.outputs.usd.values import ROOT, Out, Samples, identifier, integers, name_states, vectors
+from antdsl.outputs.usd.values import ROOT, Samples, StageOutput, identifier, integers, name_states, vectors
 from antdsl.scene.geometry.usd import pxr
 
 
@@ -25,7 +25,7 @@ class InstancerWriter:
 
     notes: tuple[str, ...] = ()
 
-    def __init__(self, out: Out, species: SpeciesEntry, number: int, close: bool = False) -> None:
+    def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
         self._out, self._number, stage = out, number, out.stage
         path = f"{ROOT}/{out.name('species', species.name)}"
         self.made = pxr("UsdGeom").PointInstancer.Define(stage, path)
@@ -51,7 +51,7 @@ class InstancerWriter:
         agents, time = time_sample.agents(self._number), time_sample.time
         prototypes = self._prototypes(agents, time_sample.shutter_agents[self._number])
         self._set(time, "positions", agents.position)
-        turn = self._signed(agents)
+        turn = self._align_signs(agents)
         # USD's arrays of quaternions lie in memory with the real part last, as ours do
         self._set(time, "orientations", turn)
         self._set(time, "orientationsf", turn)
@@ -62,7 +62,7 @@ class InstancerWriter:
         self._set(time, "invisibleIds", agents.ids[~agents.is_visible])
         self._set(time, "protoIndices", prototypes)
         self._set(time, "extent", self._extent(agents))
-        self._primvar(time, "displayColor", decoded(agents.colour))
+        self._primvar(time, "displayColor", decode_srgb(agents.colour))
         if agents.state is not None and self._names:
             self._primvar(time, "state", np.clip(agents.state, 0, len(self._names) - 1))
         for name, values in agents.numbers.items():
@@ -74,16 +74,16 @@ class InstancerWriter:
     def _prototypes(self, agents: Agents, shutter_agents: Agents) -> NDArray[np.int32]:
         """Return the prototype of each agent, constant while the shutter of a frame is open, since motion blur needs the same
         mesh."""
-        prototypes = self._bank.numbers(agents)
+        prototypes = self._bank.prototype_numbers(agents)
         if agents.ids is not shutter_agents.ids:
-            at, is_matched = matched(agents.ids, shutter_agents.ids)
-            prototypes[is_matched] = self._bank.numbers(shutter_agents)[at[is_matched]]
+            at, is_matched = match_ids(agents.ids, shutter_agents.ids)
+            prototypes[is_matched] = self._bank.prototype_numbers(shutter_agents)[at[is_matched]]
         return prototypes
 
-    def _signed(self, agents: Agents) -> NDArray[np.float64]:
+    def _align_signs(self, agents: Agents) -> NDArray[np.float64]:
         """Return orientations with the signs of the previous sample."""
         turn = agents.orient.copy()
-        at, is_matched = matched(agents.ids, self._signs[0])
+        at, is_matched = match_ids(agents.ids, self._signs[0])
         if is_matched.any():
             products = (turn[is_matched] * self._signs[1][at[is_matched]]).sum(axis=1)
             turn[is_matched] *= np.where(products < 0, -1.0, 1.0)[:, None]

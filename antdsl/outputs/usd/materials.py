@@ -100,7 +100,7 @@ class DrawnBody:
         """Return a box (2, 3) that contains the body in all its clips, with some margin, in body lengths."""
         low, high = np.full(3, np.inf), np.full(3, -np.inf)
         for machines in self._playing():
-            points = self.body.shaped(self.body.poses(machines, len(machines[0].clip) if machines else 1))[0].reshape(-1, 3)
+            points = self.body.shape_points(self.body.poses(machines, len(machines[0].clip) if machines else 1))[0].reshape(-1, 3)
             if len(points):
                 low, high = np.minimum(low, points.min(axis=0)), np.maximum(high, points.max(axis=0))
         if not np.isfinite(low).all():
@@ -111,10 +111,10 @@ class DrawnBody:
     def _playing(self) -> Iterator[tuple[MachineClips, ...]]:
         yield ()
         for number in range(len(self.body.clips)):
-            yield (alone(np.full(_SAMPLES, number), np.arange(_SAMPLES) / _SAMPLES),)
+            yield (single_clip(np.full(_SAMPLES, number), np.arange(_SAMPLES) / _SAMPLES),)
 
 
-def alone(clip: NDArray[np.integer], turns: NDArray[np.floating]) -> MachineClips:
+def single_clip(clip: NDArray[np.integer], turns: NDArray[np.floating]) -> MachineClips:
     """Return agents that play one clip each (-1 for none), with full weight and no fade."""
     chosen = np.asarray(clip, np.int16)
     none, one = np.zeros(len(clip), np.float32), np.ones(len(clip), np.float32)

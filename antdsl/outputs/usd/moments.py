@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.numerics.vector_rows import dot
 from antdsl.outputs.cache.cache_reader import Arrays
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.paths import matched
+from antdsl.outputs.paths import match_ids
 from antdsl.outputs.pictures.model import Crowd, Picture
 
 Floats = NDArray[np.float64]
@@ -64,12 +64,14 @@ class TimeSample:
         """Return the agents of a species at this time."""
         here = self.species[number]
         return (
-            here if not self.share else _moved(here, self.next_agents[number] if self.next_agents else None, self.share, self.dt)
+            here
+            if not self.share
+            else _interpolate(here, self.next_agents[number] if self.next_agents else None, self.share, self.dt)
         )
 
 
 @dataclass(slots=True)
-class Moments:
+class TimeSamples:
     """Moments of a cache, requested in order."""
 
     gallery: Gallery
@@ -107,7 +109,7 @@ class Moments:
             previous_agents = self._frame(frame - 1)[1] if next_agents is None and frame - 1 in self._known else None
             self._leading = dict(list(self._leading.items())[1 - _CACHED_FRAMES :])
             self._leading[frame] = tuple(
-                _leading(
+                _leading_velocities(
                     each,
                     next_agents[k] if next_agents else None,
                     previous_agents[k] if previous_agents else None,
@@ -171,12 +173,12 @@ def _part(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]
     return crowd, np.searchsorted(ids, crowd.ids)
 
 
-def _leading(agents: Agents, next_agents: Agents | None, previous_agents: Agents | None, dt: float) -> Agents:
+def _leading_velocities(agents: Agents, next_agents: Agents | None, previous_agents: Agents | None, dt: float) -> Agents:
     """Return agents with velocities that lead to the next frame; for the last frame, those that led to it."""
     other = next_agents or previous_agents
     if other is None or not len(agents.ids):
         return agents
-    at, is_matched = matched(agents.ids, other.ids)
+    at, is_matched = match_ids(agents.ids, other.ids)
     is_matched = is_matched & agents.is_visible
     is_matched[is_matched] &= other.is_visible[at[is_matched]]
     if not is_matched.any():
@@ -202,7 +204,7 @@ def rotation_vector(first: Floats, second: Floats) -> Floats:
     return vectors
 
 
-def turned_by(orient: Floats, turn: Floats) -> Floats:
+def rotate_by(orient: Floats, turn: Floats) -> Floats:
     """Return orientations (n, 4) rotated about world axes; `turn` is axes times radians (n, 3)."""
     angle = np.linalg.norm(turn, axis=1)
     by = np.where(angle > 1e-12, np.sin(angle / 2) / np.maximum(angle, 1e-12), 0.5)
@@ -213,15 +215,15 @@ def turned_by(orient: Floats, turn: Floats) -> Floats:
     return unit_quaternions
 
 
-def _moved(agents: Agents, next_agents: Agents | None, share: float, dt: float) -> Agents:
+def _interpolate(agents: Agents, next_agents: Agents | None, share: float, dt: float) -> Agents:
     """Return agents at a fraction `share` of the time to the next frame."""
     scale = agents.scale
     if next_agents is not None:
-        at, is_matched = matched(agents.ids, next_agents.ids)
+        at, is_matched = match_ids(agents.ids, next_agents.ids)
         is_matched[is_matched] &= next_agents.is_visible[at[is_matched]]
         scale = scale.copy()
         scale[is_matched] += (next_agents.scale[at[is_matched]] - scale[is_matched]) * share
     position = agents.position + agents.velocity * (share * dt)
     return replace(
-        agents, position=position, orient=turned_by(agents.orient, np.radians(agents.turning) * (share * dt)), scale=scale
+        agents, position=position, orient=rotate_by(agents.orient, np.radians(agents.turning) * (share * dt)), scale=scale
     )

@@ -7,16 +7,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.bodies.agents.affine import decomposed, normalised
+from antdsl.bodies.agents.affine import decompose_matrices, normalise
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.outputs.paths import matched
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.paths import match_ids
+from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.usd.definitions import SkelDefinition, write_definition
 from antdsl.outputs.usd.materials import Looks
 from antdsl.outputs.usd.moments import Agents, TimeSample
-from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Out, Samples, Visibility, identifier, name_states
+from antdsl.outputs.usd.values import BODIES, LOOKS, ROOT, Samples, StageOutput, Visibility, identifier, name_states
 from antdsl.scene.geometry.usd import pxr
 
 _SHEARED = 1e-4  # of a joint, above which what UsdSkel omits is reported
@@ -28,7 +28,7 @@ class SkeletonWriter:
     With `copies`, agents are full copies, and their meshes have the state colours themselves. This is for programs that do not
     pose instances or inherit primvars."""
 
-    def __init__(self, out: Out, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
+    def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, copies: bool = False, close: bool = False) -> None:
         self._out, self._species, self._number, stage = out, species, number, out.stage
         self._path = f"{ROOT}/{out.name('species', species.name)}"
         name_states(pxr("UsdGeom").Scope.Define(stage, self._path).GetPrim(), species)
@@ -53,7 +53,7 @@ class SkeletonWriter:
         agents = time_sample.agents(self._number)
         self._first = time_sample.time if self._first is None else self._first
         visible_keys = set[tuple[int, int]]()
-        colour = decoded(agents.colour)
+        colour = decode_srgb(agents.colour)
         for part, (crowd, rows) in enumerate(agents.parts):
             if crowd.worn is None:
                 continue
@@ -104,7 +104,7 @@ class _Joints:
         n, count = poses.local.shape[:2]
         square = np.zeros((n * count, 4, 4))
         square[:, :3] = poses.local.reshape(n * count, 3, 4)
-        place, turn, scale, shear = decomposed(square)
+        place, turn, scale, shear = decompose_matrices(square)
         self.sheared = bool((np.abs(shear) > _SHEARED).any())
         parts = (np.moveaxis(each, 0, -1).reshape(n, count, len(each)) for each in (place, turn, scale))
         self.values = tuple(np.ascontiguousarray(each, np.float32) for each in parts)
@@ -120,7 +120,7 @@ class _Joints:
             mine[rows] += (towards - mine[rows]) * np.float32(share)
         self.channels[rows] += (other.channels[at[rows]] - self.channels[rows]) * np.float32(share)
         turn = np.ascontiguousarray(np.moveaxis(self.values[1], -1, 0))
-        self.values = (self.values[0], np.ascontiguousarray(np.moveaxis(normalised(turn), 0, -1)), self.values[2])
+        self.values = (self.values[0], np.ascontiguousarray(np.moveaxis(normalise(turn), 0, -1)), self.values[2])
 
 
 def _joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) -> _Joints:
@@ -137,7 +137,7 @@ def _joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) ->
         return joints
     for other, other_rows in others[number].parts:
         if other.worn is body:
-            at, same = matched(agents.ids[rows], others[number].ids[other_rows])
+            at, same = match_ids(agents.ids[rows], others[number].ids[other_rows])
             joints.mix(same, _Joints(other.poses(local=True)), at, share)
     return joints
 
@@ -147,7 +147,7 @@ class _Agent:
 
     def __init__(
         self,
-        out: Out,
+        out: StageOutput,
         above: str,
         path: str,
         name: int,

@@ -20,9 +20,9 @@ import numpy as np
 from antdsl import __version__
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.usd.instancers import InstancerWriter
-from antdsl.outputs.usd.moments import Moments
+from antdsl.outputs.usd.moments import TimeSamples
 from antdsl.outputs.usd.skeletons import SkeletonWriter
-from antdsl.outputs.usd.values import BODIES, ROOT, Out, disk_failures, root
+from antdsl.outputs.usd.values import BODIES, ROOT, StageOutput, disk_failures, root
 from antdsl.outputs.usd.world import WorldWriter
 from antdsl.outputs.usd.xforms import XformWriter
 from antdsl.scene.geometry.usd import pxr
@@ -67,7 +67,7 @@ def export_instances(gallery: Gallery, frames: Iterable[int], path: Path, option
 
     Raises UsdError without usd-core, CacheError for a damaged frame, OSError if writing fails."""
     frames = list(frames)
-    most = _most(gallery, frames)
+    most = _max_agent_counts(gallery, frames)
 
     def kind(number: int) -> Callable[..., Writer]:
         if most[number] > options.skeletons:
@@ -82,7 +82,7 @@ def export_xforms(gallery: Gallery, frames: Iterable[int], path: Path, options: 
     return _export(gallery, list(frames), path, options, lambda number: partial(XformWriter, close=options.close))
 
 
-def _most(gallery: Gallery, frames: list[int]) -> list[int]:
+def _max_agent_counts(gallery: Gallery, frames: list[int]) -> list[int]:
     """Return the maximum number of agents of each species in any frame."""
     count = len(gallery.manifest.species)
     most = np.zeros(count, np.int64)
@@ -94,7 +94,7 @@ def _most(gallery: Gallery, frames: list[int]) -> list[int]:
     return counts
 
 
-def times(frame: int, options: XformOptions) -> list[float]:
+def shutter_times(frame: int, options: XformOptions) -> list[float]:
     """Return the sample times of agents for a frame: at the frame, and over the shutter interval."""
     around = np.linspace(*options.shutter, options.samples) if options.shutter else np.zeros(1)
     sample_times: list[float] = sorted({round(frame + part, 6) for part in (0.0, *around.tolist())})
@@ -109,23 +109,23 @@ def _export(
             stage = pxr("Usd").Stage.CreateNew(str(part))
         except pxr("Tf").ErrorException as problem:
             raise OSError(None, "cannot be written", str(path)) from problem
-        out = Out(stage)
+        out = StageOutput(stage)
         with ValueFiles(out, path, frames, options.chunk) as files:
             _describe(stage, gallery, frames)
             crowds = [kind(number)(out, species, number) for number, species in enumerate(gallery.manifest.species)]
-            _write(_Shot(WorldWriter(out, gallery, frames), crowds, Moments(gallery)), files, frames, options, stage)
+            _write(_FrameWriters(WorldWriter(out, gallery, frames), crowds, TimeSamples(gallery)), files, frames, options, stage)
             notes = [note for crowd in crowds for note in crowd.notes]
         del crowds, files, out, stage  # the file is closed before it is moved
     return list(dict.fromkeys(notes))
 
 
 @dataclass(frozen=True, slots=True)
-class _Shot:
+class _FrameWriters:
     """All that is written of a frame."""
 
     world: WorldWriter
     crowds: list[Writer]
-    moments: Moments
+    moments: TimeSamples
 
     def at(self, time: float, frame: int) -> None:
         """Write agents at a time, and at the frame itself the world."""
@@ -136,15 +136,15 @@ class _Shot:
             crowd.sample(time_sample)
 
 
-def _write(shot: _Shot, files: ValueFiles, frames: list[int], options: XformOptions, stage: Any) -> None:
+def _write(shot: _FrameWriters, files: ValueFiles, frames: list[int], options: XformOptions, stage: Any) -> None:
     written = -np.inf
     for number, frame in enumerate(frames):
-        for time in times(frame, options):
+        for time in shutter_times(frame, options):
             if time <= written + _SAME:
                 continue
             if written == -np.inf:
                 files.begin(frame)
-            elif time == frame and files.begins(frame):
+            elif time == frame and files.starts_new_file(frame):
                 shot.at(time, frame)  # the end of the file before
                 files.begin(frame)
             shot.at(time, frame)
@@ -173,7 +173,7 @@ def _describe(stage: Any, gallery: Gallery, frames: list[int]) -> None:
 class ValueFiles:
     """The files of values of a stage that is written to `path`."""
 
-    def __init__(self, out: Out, path: Path, frames: list[int], chunk: int) -> None:
+    def __init__(self, out: StageOutput, path: Path, frames: list[int], chunk: int) -> None:
         self._out, self._path, self._frames = out, path, frames
         groups = {(frame - frames[0]) // chunk: frame for frame in reversed(frames)} if chunk else {}
         self._starts = sorted(groups.values())
@@ -182,7 +182,7 @@ class ValueFiles:
         if self._starts:
             out.manifest = pxr("Sdf").Layer.CreateAnonymous("manifest.usda")
 
-    def begins(self, frame: int) -> bool:
+    def starts_new_file(self, frame: int) -> bool:
         """Return whether values from a frame on go into a new file."""
         return frame in self._starts[1:]
 
@@ -191,7 +191,7 @@ class ValueFiles:
         if not self._starts:
             return
         self._save()
-        part = self._parts.enter_context(atomic_path(self._named(f"{frame:04d}.usdc"), ".usdc"))
+        part = self._parts.enter_context(atomic_path(self._file_path(f"{frame:04d}.usdc"), ".usdc"))
         part.unlink()
         self._layer = pxr("Sdf").Layer.CreateNew(str(part))
         self._out.begin(self._layer)
@@ -218,11 +218,11 @@ class ValueFiles:
         if not self._starts:
             return
         self._out.clip = None
-        manifest = self._named("manifest.usda")
+        manifest = self._file_path("manifest.usda")
         self._out.manifest.Export(str(self._parts.enter_context(atomic_path(manifest, ".usda"))))
         gf, vt = pxr("Gf"), pxr("Vt")
         clips = pxr("Usd").ClipsAPI(self._out.stage.GetPrimAtPath(ROOT))
-        names = [f"./{self._named(f'{frame:04d}.usdc').name}" for frame in self._starts]
+        names = [f"./{self._file_path(f'{frame:04d}.usdc').name}" for frame in self._starts]
         clips.SetClipAssetPaths(pxr("Sdf").AssetPathArray([pxr("Sdf").AssetPath(name) for name in names]), _SET)
         clips.SetClipManifestAssetPath(pxr("Sdf").AssetPath(f"./{manifest.name}"), _SET)
         clips.SetClipPrimPath(ROOT, _SET)
@@ -231,5 +231,5 @@ class ValueFiles:
         clips.SetClipActive(vt.Vec2dArray([gf.Vec2d(begin, k) for k, begin in enumerate(begins)]), _SET)
         clips.SetClipTimes(vt.Vec2dArray([gf.Vec2d(end, end) for end in ends]), _SET)
 
-    def _named(self, ending: str) -> Path:
+    def _file_path(self, ending: str) -> Path:
         return self._path.with_name(f"{self._path.stem}.values.{ending}")

@@ -40,7 +40,7 @@ class Samples:
 
     With `always`, it is written at every time, for readers that use it only at the times of other attributes."""
 
-    def __init__(self, out: Out, attribute: Any, convert: Callable[[Array], Any], kind: Any, always: bool) -> None:
+    def __init__(self, out: StageOutput, attribute: Any, convert: Callable[[Array], Any], kind: Any, always: bool) -> None:
         self._out, self._convert, self._kind, self._always = out, convert, kind, always
         self._attribute = attribute.GetAttr() if hasattr(attribute, "GetAttr") else attribute
         self._path = self._attribute.GetPath()
@@ -76,7 +76,7 @@ class Samples:
             layer.GetAttributeAtPath(self._path).default = "invisible"  # in files that know nothing of it
 
 
-class Out:
+class StageOutput:
     """The written stage and the target of values over time: the stage itself, or separate layers (`clip`), one after the other.
     `manifest` names all attributes of these layers."""
 
@@ -91,7 +91,7 @@ class Out:
     def name(self, kind: str, name: str) -> str:
         """Return a thing's name below the root: its own, or with a number where that is taken."""
         if (kind, name) not in self._named:
-            self._named[kind, name] = free(identifier(name), self._taken)
+            self._named[kind, name] = make_unique(identifier(name), self._taken)
         return self._named[kind, name]
 
     def samples(
@@ -108,7 +108,7 @@ class Out:
 class Visibility:
     """Visibility of a prim over time. A prim that appears after the first time is hidden before."""
 
-    def __init__(self, out: Out, prim: Any, first: float, time: float) -> None:
+    def __init__(self, out: StageOutput, prim: Any, first: float, time: float) -> None:
         self._samples = out.samples(prim.CreateVisibilityAttr(), lambda v: "inherited" if v[0] else "invisible", np.bool_)
         if time > first:
             self._samples.set(first, [False])
@@ -169,7 +169,7 @@ def name_states(prim: Any, species: SpeciesEntry) -> None:
         prim.SetCustomDataByKey(identifier(name), pxr("Vt").StringArray([state.name for state in machine.states]))
 
 
-def free(name: str, taken: set[str]) -> str:
+def make_unique(name: str, taken: set[str]) -> str:
     """Return the name, with a number if it is taken, and mark it as taken."""
     unique_name, number = name, 1
     while unique_name in taken:

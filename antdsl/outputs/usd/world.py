@@ -10,10 +10,22 @@ from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.shapes import placed
 from antdsl.numerics.vector_rows import unit_or
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.pictures.light import decoded
+from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Item, Picture, Solid, Trail
 from antdsl.outputs.usd.materials import Looks
-from antdsl.outputs.usd.values import LOOKS, ROOT, Array, Out, Samples, box, free, identifier, integers, mesh, vectors
+from antdsl.outputs.usd.values import (
+    LOOKS,
+    ROOT,
+    Array,
+    Samples,
+    StageOutput,
+    box,
+    identifier,
+    integers,
+    make_unique,
+    mesh,
+    vectors,
+)
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM
 
@@ -27,7 +39,7 @@ _COLOURS = {
 class WorldWriter:
     """All of the world but its agents."""
 
-    def __init__(self, out: Out, gallery: Gallery, frames: list[int]) -> None:
+    def __init__(self, out: StageOutput, gallery: Gallery, frames: list[int]) -> None:
         self._out, self._gallery, self._first = out, gallery, frames[0]
         self._looks = Looks(out.stage, f"{LOOKS}/world", _COLOURS)
         self._meshes: dict[str, _MeshWriter] = {}
@@ -66,16 +78,16 @@ class WorldWriter:
         if number not in self._items:
             if not self._items:
                 geom.Xform.Define(stage, f"{ROOT}/items")
-            path = f"{ROOT}/items/{free(identifier(item.name), self._items_named)}"
+            path = f"{ROOT}/items/{make_unique(identifier(item.name), self._items_named)}"
             points, faces, colour = placed(item.shape)
             geometry: tuple[Array, Array] = (points, vertex_normals(points, faces))
             if self._gallery.manifest.up == "z":
-                geometry = (_upright(geometry[0]), _upright(geometry[1]))
+                geometry = (_to_z_up(geometry[0]), _to_z_up(geometry[1]))
             place, normals = geometry
-            shape = mesh(stage, path, place, faces, normals, _around(points))
+            shape = mesh(stage, path, place, faces, normals, _uv_around(points))
             ops = (shape.AddTranslateOp(), shape.AddScaleOp(geom.XformOp.PrecisionDouble))
             self._items[number] = (self._out.samples(ops[0], _vector), self._out.samples(ops[1], _vector))
-            shape.CreateDisplayColorPrimvar("vertex").Set(vectors(decoded(colour)))
+            shape.CreateDisplayColorPrimvar("vertex").Set(vectors(decode_srgb(colour)))
             self._looks.bind(shape.GetPrim(), "")
         move, scale = self._items[number]
         move.set(frame, item.position)
@@ -85,7 +97,7 @@ class WorldWriter:
 class _CameraWriter:
     """The scene's own camera."""
 
-    def __init__(self, out: Out, gallery: Gallery) -> None:
+    def __init__(self, out: StageOutput, gallery: Gallery) -> None:
         self._gallery, self._reaches = gallery, False
         camera = pxr("UsdGeom").Camera.Define(out.stage, f"{ROOT}/camera")
         self._tenths = 10.0 / UNIT_MM[gallery.manifest.units]  # of a millimetre in the stage's unit
@@ -120,7 +132,7 @@ class _CameraWriter:
 class _MeshWriter:
     """Writer of a mesh of the world; it writes what has changed since the previous frame."""
 
-    def __init__(self, out: Out, path: str, up: str = "y") -> None:
+    def __init__(self, out: StageOutput, path: str, up: str = "y") -> None:
         usd_mesh = pxr("UsdGeom").Mesh.Define(out.stage, path)
         usd_mesh.CreateSubdivisionSchemeAttr("none")
         usd_mesh.CreateDoubleSidedAttr(True)
@@ -140,7 +152,7 @@ class _MeshWriter:
     def frame(self, frame: int, solid: Solid) -> None:
         if solid is not self._drawn:
             if self._drawn is None or self._drawn.faces is not solid.faces:
-                self._mapped = _from_above(solid.vertices, self._up)  # stays on what moves without another shape
+                self._mapped = _uv_from_above(solid.vertices, self._up)  # stays on what moves without another shape
             self._shaded = creased_normals(solid.vertices, solid.faces)
             self._drawn = solid
         self._counts.set(frame, np.full(len(solid.faces), 3))
@@ -154,7 +166,7 @@ class _MeshWriter:
 class _FieldWriter:
     """A field as points in its colour, at the cells with some strength; the width of a point shows the strength."""
 
-    def __init__(self, out: Out, trail: Trail) -> None:
+    def __init__(self, out: StageOutput, trail: Trail) -> None:
         geom = pxr("UsdGeom")
         geom.Xform.Define(out.stage, f"{ROOT}/fields")
         usd_points = geom.Points.Define(out.stage, f"{ROOT}/fields/{identifier(trail.name)}")
@@ -166,7 +178,7 @@ class _FieldWriter:
         kind = pxr("Sdf").ValueTypeNames.FloatArray
         self._strength = out.samples(geom.PrimvarsAPI(usd_points).CreatePrimvar("strength", kind, "vertex"), floats, np.float32)
         self._extent = out.samples(usd_points.CreateExtentAttr(), vectors, np.float32)
-        usd_points.CreateDisplayColorPrimvar("constant").Set(vectors(decoded(np.array([trail.colour]))))
+        usd_points.CreateDisplayColorPrimvar("constant").Set(vectors(decode_srgb(np.array([trail.colour]))))
 
     def nothing(self, frame: int) -> None:
         """Write the field in a frame without any strength."""
@@ -198,7 +210,7 @@ def creased_normals(points: Array, faces: Array) -> Array:
     return normals
 
 
-def _from_above(points: Array, up: int) -> Array:
+def _uv_from_above(points: Array, up: int) -> Array:
     """Texture coordinates (n, 2) as seen from above, 0 to 1 over the longer side."""
     flat = np.delete(np.asarray(points, np.float64), up, axis=1)
     if not len(flat):
@@ -208,7 +220,7 @@ def _from_above(points: Array, up: int) -> Array:
     return coordinates
 
 
-def _around(points: Array) -> Array:
+def _uv_around(points: Array) -> Array:
     """Texture coordinates (n, 2) around the middle of a body."""
     low, high = box(points)
     offset = points - (low + high) / 2
@@ -217,7 +229,7 @@ def _around(points: Array) -> Array:
     return np.stack([around, np.arccos(np.clip(offset[:, 1] / size, -1.0, 1.0)) / np.pi], axis=1).astype(np.float32)
 
 
-def _upright(directions: Array) -> Array:
+def _to_z_up(directions: Array) -> Array:
     """Convert vectors (n, 3) from a world with y up to one with z up."""
     return np.stack([directions[:, 0], -directions[:, 2], directions[:, 1]], axis=1)
 

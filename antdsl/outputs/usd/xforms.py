@@ -8,10 +8,10 @@ import numpy as np
 
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.euler_angles import Angles
-from antdsl.outputs.pictures.light import decoded
-from antdsl.outputs.usd.bank import Bank, coloured
+from antdsl.outputs.pictures.light import decode_srgb
+from antdsl.outputs.usd.bank import Bank, add_coloured_mesh
 from antdsl.outputs.usd.moments import TimeSample
-from antdsl.outputs.usd.values import ROOT, Out, Visibility, name_states
+from antdsl.outputs.usd.values import ROOT, StageOutput, Visibility, name_states
 from antdsl.scene.geometry.usd import pxr
 
 
@@ -21,7 +21,7 @@ class XformWriter:
 
     notes: tuple[str, ...] = ()
 
-    def __init__(self, out: Out, species: SpeciesEntry, number: int, close: bool = False) -> None:
+    def __init__(self, out: StageOutput, species: SpeciesEntry, number: int, close: bool = False) -> None:
         self._out, self._number, self._path = out, number, f"{ROOT}/{out.name('species', species.name)}"
         name_states(pxr("UsdGeom").Scope.Define(out.stage, self._path).GetPrim(), species)
         self._bank = Bank(out, species, close)
@@ -34,7 +34,7 @@ class XformWriter:
         agents, time = time_sample.agents(self._number), time_sample.time
         self._first = time if self._first is None else self._first
         turn = self._angles.of(agents.ids, agents.orient)
-        colour = decoded(agents.colour)
+        colour = decode_srgb(agents.colour)
         visible_ids = agents.ids[agents.is_visible]
         if self._file != self._out.number:  # a file of values says of all that it may show later that they are not there yet
             self._file, self._there = self._out.number, np.array(sorted(self._agents), np.int64)
@@ -54,7 +54,7 @@ class XformWriter:
 class _Agent:
     """The Xform of one agent."""
 
-    def __init__(self, out: Out, path: str, shape: str, name: int, first: float, time: float) -> None:
+    def __init__(self, out: StageOutput, path: str, shape: str, name: int, first: float, time: float) -> None:
         geom, types, gf, vt = pxr("UsdGeom"), pxr("Sdf").ValueTypeNames, pxr("Gf"), pxr("Vt")
         xform = geom.Xform.Define(out.stage, path)
         double = geom.XformOp.PrecisionDouble
@@ -64,7 +64,7 @@ class _Agent:
         prim.CreateAttribute("userProperties:id", types.Int64).Set(name)
         state = prim.CreateAttribute("userProperties:state", types.Int)
         self._state = out.samples(state, lambda v: int(v[0]), np.int32)
-        colour = coloured(out.stage, f"{path}/body", shape)
+        colour = add_coloured_mesh(out.stage, f"{path}/body", shape)
         self._colour = out.samples(colour, lambda v: vt.Vec3fArray.FromNumpy(v[None]), np.float32)
         self._seen = Visibility(out, xform, first, time)
 

@@ -9,9 +9,9 @@ from antdsl.plan import ir
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import appearance, clips, pair_values, values
-from antdsl.plan.lowering.expressions import lower, own, scalar, single, vector
-from antdsl.plan.lowering.values import Named, Own, Ref, Vec
-from antdsl.plan.lowering.writer import AXES, NotYet, Writer
+from antdsl.plan.lowering.expressions import lower, own_attribute, scalar, single_node, vector
+from antdsl.plan.lowering.values import EntityRef, NamedThing, OwnPlace, Vec
+from antdsl.plan.lowering.writer import AXES, UnsupportedConstruct, Writer
 from antdsl.program import model
 from antdsl.source import Span
 
@@ -29,11 +29,11 @@ def write(w: Writer, statements: Sequence[model.Statement], site: str, machine: 
                 clips.play(w, machine, statement)
             else:
                 _WRITE[type(statement)](w, statement, f"{site}#{number}")
-        except NotYet as missing:
+        except UnsupportedConstruct as missing:
             complain(w, missing)
 
 
-def complain(w: Writer, missing: NotYet) -> None:
+def complain(w: Writer, missing: UnsupportedConstruct) -> None:
     w.report.error("not-yet", f"{missing.what} cannot run yet", missing.span, missing.help)
 
 
@@ -46,13 +46,13 @@ def _steer(w: Writer, s: model.Steer, site: str) -> None:
     for axis in AXES:
         w.declare(f"{STEER}.{axis}", Kind.F32, "temp")
     push = vector(w, s.push)
-    w.steered(s, site, push)
+    w.note_steering(s, site, push)
     w.store_vector(STEER, values.add(w.b, w.read_vector(STEER), push), s.span)
 
 
 def _face(w: Writer, s: model.Face, site: str) -> None:
     direction = vector(w, s.direction)
-    w.steered(s, site, direction)
+    w.note_steering(s, site, direction)
     face(w, GAZE, direction, s.span)
 
 
@@ -67,14 +67,14 @@ def face(w: Writer, register: str, direction: Vec, span: Span | None) -> None:
 
 
 def _assign(w: Writer, s: model.Assign, site: str) -> None:
-    pair_attribute = pair_values.declared(w, s.attribute)
+    pair_attribute = pair_values.find_declaration(w, s.attribute)
     if pair_attribute is not None:
         pair_values.assign(w, s, pair_attribute)
         return
     b = w.b
     value = lower(w, s.value)
     if s.op != "=":
-        old = own(w, s.attribute, s.value.type)
+        old = own_attribute(w, s.attribute, s.value.type)
         if isinstance(value, Vec) and isinstance(old, Vec):
             change = values.scale(b, value, w.run("dt")) if s.per_second else value
             value = values.add(b, old, change) if s.op == "+=" else values.sub(b, old, change)
@@ -84,20 +84,20 @@ def _assign(w: Writer, s: model.Assign, site: str) -> None:
             value = b("add" if s.op == "+=" else "sub", old, _rate(w, value, s.per_second))
     if s.attribute == "heading" and isinstance(value, Vec):
         size = values.length(b, value)
-        value = values.choose(b, b("gt", size, b.number(values.TINY)), values.along(b, value, size), w.read_vector("heading"))
+        value = values.choose(b, b("gt", size, b.number(values.TINY)), values.divide(b, value, size), w.read_vector("heading"))
     w.store_value(s.attribute, value, s.span, infinite=s.attribute == "max_turn")
 
 
 def _give(w: Writer, s: model.Give, site: str) -> None:
     to = lower(w, s.to)
-    if isinstance(to, Named):
+    if isinstance(to, NamedThing):
         every = w.b("set.items", w.b.number(float("inf")), attrs=(to.name,))
-        to = Ref(model.Kind.ITEM, to.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
-    if not isinstance(to, Ref) or to.what is not model.Kind.ITEM:
+        to = EntityRef(model.Kind.ITEM, to.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
+    if not isinstance(to, EntityRef) or to.what is not model.Kind.ITEM:
         raise PlanError(f"a gift to a {type(to).__name__}")
     amount = None if s.amount is None else _rate(w, scalar(w, s.amount), s.per_second)
     w.add(ir.Give(to.of, s.attribute, to.node, amount, s.attribute, s.span))
-    w.wrote(s.attribute)
+    w.mark_written(s.attribute)
 
 
 def _ask(w: Writer, s: model.Ask, site: str) -> None:
@@ -113,13 +113,13 @@ def _ask(w: Writer, s: model.Ask, site: str) -> None:
 
 def _operand(w: Writer, arg: model.Expr, per_second: bool) -> Node:
     value = lower(w, arg)
-    if isinstance(value, Own):
+    if isinstance(value, OwnPlace):
         return w.b("id")
-    node = single(w, arg, value)
+    node = single_node(w, arg, value)
     return _rate(w, node, per_second) if node.kind is Kind.F32 else node
 
 
-def _ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None) -> Operands:
+def _carve_ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None) -> Operands:
     """Return a ball that is half a body and half its radius ahead, with its underside level with the feet: an agent that moves
     ahead stays on that level."""
     assert size_of is not None
@@ -137,7 +137,7 @@ def _ball(w: Writer, size_of: model.Expr | None, toward: model.Expr | None) -> O
 
 
 # Computes the operands of an effect from its arguments, if its row says that they are computed.
-OPERANDS: dict[str, Callable[..., Operands]] = {"carve": _ball}
+OPERANDS: dict[str, Callable[..., Operands]] = {"carve": _carve_ball}
 _WRITE: dict[type, Callable[[Writer, Any, str], None]] = {
     model.Steer: _steer, model.Face: _face, model.Assign: _assign, model.Give: _give, model.Ask: _ask,
     **appearance.WRITE,

@@ -13,7 +13,7 @@ from typing import Any
 from antdsl.plan.ir import Kind
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower, scalar, truth
-from antdsl.plan.lowering.rules.places import away
+from antdsl.plan.lowering.rules.places import offset_to
 from antdsl.plan.lowering.values import Vec
 from antdsl.plan.lowering.writer import AXES, Writer
 from antdsl.program import model
@@ -99,8 +99,8 @@ def _look(w: Writer, line: model.Look, site: str) -> None:
     """Write the look direction to a position in the agent's frame, limited to the allowed angle; straight ahead where there is no
     such position."""
     b, register = w.b, f"~look#{line.group}"
-    is_present, offset = away(w, lower(w, line.at), line.at)
-    direction = values.unit(b, values.keep_if(b, is_present, offset))
+    is_present, offset = offset_to(w, lower(w, line.at), line.at)
+    direction = values.unit(b, values.vector_if(b, is_present, offset))
     heading, up = w.read_vector("heading"), w.read_vector("up")
     side = values.cross(b, heading, up)
     local_direction = Vec(values.dot(b, direction, heading), values.dot(b, direction, up), values.dot(b, direction, side))

@@ -6,13 +6,13 @@ from graphlib import TopologicalSorter
 from math import inf
 
 from antdsl.plan.builder import Builder
-from antdsl.plan.ir import Kind, Node, begun_with
+from antdsl.plan.ir import Kind, Node, birth_register
 from antdsl.plan.lowering import appearance, clips, pair_values
 from antdsl.plan.lowering.actions import complain, write
 from antdsl.plan.lowering.expressions import as_truth, keeps_moving, lower
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.values import Value
-from antdsl.plan.lowering.writer import NotYet, Writer
+from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
 from antdsl.program import model
 from antdsl.program.traverse import inside
 
@@ -61,11 +61,11 @@ def given_default(w: Writer, name: str) -> Node:
 _PLAIN = {"size": 4.0, "mass": 1.0, "clearance": 0.0, "max_speed": 30.0, "min_speed": 0.0, "response": 0.15, "max_turn": inf}
 
 
-def born(w: Writer, machines: list[MachineWriter]) -> None:
+def write_birth(w: Writer, machines: list[MachineWriter]) -> None:
     """Write the block `born`."""
     for machine in machines:
         machine.begin()
-    for name in _order(w):
+    for name in _attribute_order(w):
         _attribute(w, name)
     for number, handler in enumerate(h for h in w.species.handlers if h.event == "spawn"):
         write(w, handler.actions, f"{w.species.name}.on.spawn#{number + 1}")
@@ -75,17 +75,17 @@ def born(w: Writer, machines: list[MachineWriter]) -> None:
     clips.begin_leaning(w)
 
 
-def _unless_given(w: Writer, name: str, default: Value) -> Value:
+def _or_scene_value(w: Writer, name: str, default: Value) -> Value:
     """Return the scene's value in place of an attribute's default, for all that is computed after it."""
     if name not in w.begun_with or not isinstance(default, Node) or default.kind not in (Kind.F32, Kind.BOOL):
         return default
-    w.declare(begun_with(name), Kind.F32, "temp", inf)
-    b, scene_value = w.b, w.read(begun_with(name))
+    w.declare(birth_register(name), Kind.F32, "temp", inf)
+    b, scene_value = w.b, w.read(birth_register(name))
     value = scene_value if default.kind is Kind.F32 else b("ne", scene_value, b.number(0))
     return b("where", b("lt", scene_value, b.number(inf)), value, default)
 
 
-def _written(w: Writer) -> dict[str, model.AttributeDecl]:
+def _author_attributes(w: Writer) -> dict[str, model.AttributeDecl]:
     """Return the attributes that the author wrote. A built-in one located at the species' own name comes from the card and is
     made here, where the step length is known."""
     mine = [a for a in w.species.attributes if not a.each and a.name != "push"]
@@ -93,9 +93,9 @@ def _written(w: Writer) -> dict[str, model.AttributeDecl]:
 
 
 def _attribute(w: Writer, name: str) -> None:
-    declared = _written(w)
+    declared = _author_attributes(w)
     if name not in declared:
-        value: Value = _unless_given(w, name, given_default(w, name))
+        value: Value = _or_scene_value(w, name, given_default(w, name))
         w.store_value(name, value, None, infinite=name == "max_turn")
         return
     attribute = declared[name]
@@ -104,14 +104,14 @@ def _attribute(w: Writer, name: str) -> None:
         value = lower(w, attribute.default)
         if attribute.type.kind is model.Kind.BOOL:
             value = as_truth(w, value, attribute.default)
-        w.store_value(name, _unless_given(w, name, value), attribute.span, infinite=name == "max_turn")
-    except NotYet as missing:
+        w.store_value(name, _or_scene_value(w, name, value), attribute.span, infinite=name == "max_turn")
+    except UnsupportedConstruct as missing:
         complain(w, missing)
 
 
-def _order(w: Writer) -> list[str]:
+def _attribute_order(w: Writer) -> list[str]:
     """Return the names of all attributes, each after those that its default reads. The checker has already rejected cycles."""
-    declared = _written(w)
+    declared = _author_attributes(w)
     needs: dict[str, list[str]] = {name: [] for name in (*BIRTH_ATTRIBUTES, *declared) if name in w.registers or name in declared}
     for name in needs:
         if name in declared:

@@ -10,7 +10,7 @@ from antdsl.plan.lowering import values
 from antdsl.plan.lowering.actions import GAZE, STEER, complain, face
 from antdsl.plan.lowering.expressions import truth, vector
 from antdsl.plan.lowering.values import Vec
-from antdsl.plan.lowering.writer import AXES, NotYet, Writer
+from antdsl.plan.lowering.writer import AXES, UnsupportedConstruct, Writer
 from antdsl.program import model
 
 PUSH, LEFT, FACE = "push", "~left", "~face"
@@ -19,7 +19,7 @@ PUSH, LEFT, FACE = "push", "~left", "~face"
 def blend(w: Writer, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
     """Write the layers in order; the result is the register `push`."""
     mode = w.species.layers.mode
-    every = ordered(w, order)
+    every = order_layers(w, order)
     layers = [layer for layer in every if not layer.faces]
     w.declare(LEFT, Kind.F32, "temp", 1.0)
     if not layers:
@@ -28,7 +28,7 @@ def blend(w: Writer, order: Sequence[str] | None) -> tuple[LayerPlan, ...]:
         w.b.span = layer.span
         try:
             _layer(w, layer, mode, last=number == len(layers) - 1)
-        except NotYet as missing:
+        except UnsupportedConstruct as missing:
             complain(w, missing)
     if mode == "sum":
         w.store_vector(PUSH, values.limit(w.b, w.read_vector(PUSH), w.b.number(1)), w.species.layers.span)
@@ -44,11 +44,11 @@ def _layer(w: Writer, layer: model.Layer, mode: str, last: bool) -> None:
         condition = b.true if layer.condition is None else truth(w, layer.condition)
         with w.region(condition, layer.span):
             push = _states(w) if layer.push is None else vector(w, layer.push)
-            w.layered(layer, strength, left, condition, push)
+            w.note_layer(layer, strength, left, condition, push)
             if mode == "sum":
                 w.store_vector(PUSH, values.add(b, w.read_vector(PUSH), push), layer.span)
             elif mode == "first":
-                _take(w, push, layer, last)
+                _take_first(w, push, layer, last)
             else:
                 _spend(w, push, layer.span, last)
 
@@ -70,9 +70,9 @@ def _face(w: Writer, layers: Sequence[model.Layer]) -> None:
             with w.region(holds, layer.span):
                 direction = w.read_vector(GAZE) if layer.push is None else vector(w, layer.push)
                 if layer.push is not None:
-                    w.steered(layer, f"{w.species.name}.layers.face#{number}", direction, holds)
+                    w.note_steering(layer, f"{w.species.name}.layers.face#{number}", direction, holds)
                 face(w, FACE, direction, layer.span)
-        except NotYet as missing:
+        except UnsupportedConstruct as missing:
             complain(w, missing)
 
 
@@ -95,7 +95,7 @@ def _spend(w: Writer, push: Vec, span: object, last: bool) -> None:
         w.store(LEFT, b("where", too_much, b.number(0), b("sub", left, size)), place)
 
 
-def _take(w: Writer, push: Vec, layer: model.Layer, last: bool) -> None:
+def _take_first(w: Writer, push: Vec, layer: model.Layer, last: bool) -> None:
     """The first push that is any takes all."""
     b = w.b
     is_nonzero = b("gt", values.length(b, push), b.number(0))
@@ -108,7 +108,7 @@ def _take(w: Writer, push: Vec, layer: model.Layer, last: bool) -> None:
 # --- an order from the scene -----------------------------------------------------------------------------------------
 
 
-def ordered(w: Writer, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
+def order_layers(w: Writer, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
     """Return the layers as in the source, or in the order that a scene gives: each named by its text or by the word before its
     bracket."""
     layers = list(w.species.layers.layers)
@@ -117,8 +117,8 @@ def ordered(w: Writer, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
     span = w.species.layers.span
     result: list[model.Layer] = []
     for name in order:
-        fitting = [layer for layer in layers if layer not in result and _named(layer, name)]
-        exact = [layer for layer in fitting if _plain(layer.text) == _plain(name)]
+        fitting = [layer for layer in layers if layer not in result and _is_named(layer, name)]
+        exact = [layer for layer in fitting if _plain_text(layer.text) == _plain_text(name)]
         if not exact and len(fitting) != 1:
             known = ", ".join(f"`{layer.text}`" for layer in layers)
             what = "no layer" if not fitting else "more than one layer"
@@ -134,13 +134,13 @@ def ordered(w: Writer, order: Sequence[str] | None) -> tuple[model.Layer, ...]:
     return tuple(result)
 
 
-def _plain(text: str) -> str:
+def _plain_text(text: str) -> str:
     return "".join(text.split())
 
 
-def _named(layer: model.Layer, name: str) -> bool:
-    text = _plain(layer.text)
-    return text == _plain(name) or text.split("(")[0] == _plain(name)
+def _is_named(layer: model.Layer, name: str) -> bool:
+    text = _plain_text(layer.text)
+    return text == _plain_text(name) or text.split("(")[0] == _plain_text(name)
 
 
 def declare(w: Writer) -> None:

@@ -52,15 +52,15 @@ def clips_of(species: model.Species) -> tuple[ir.ClipPlan, ...]:
     clip_plans: dict[ir.ClipPlan, None] = {}
     for machine in species.machines:
         for line in _lines(machine):
-            clip_plans.setdefault(_planned(line))
+            clip_plans.setdefault(_clip_plan(line))
     return tuple(clip_plans)
 
 
-def _planned(line: model.Play) -> ir.ClipPlan:
+def _clip_plan(line: model.Play) -> ir.ClipPlan:
     return ir.ClipPlan(line.clip, line.on, line.add, *line.blend_clips)
 
 
-def plays(machine: model.Machine) -> bool:
+def plays_clips(machine: model.Machine) -> bool:
     """Whether some state of a machine plays a clip."""
     return bool(_lines(machine))
 
@@ -82,7 +82,7 @@ def begin(w: Writer, machine: model.Machine) -> None:
     line = next((line for line in machine.states[machine.start].body if isinstance(line, model.Play)), None)
     if line is None:
         return
-    b, name, clip = w.b, machine.name, _number(w, line)
+    b, name, clip = w.b, machine.name, _clip_number(w, line)
     draw = b("draw", attrs=(f"{w.species.name}.{name}.clip", 0))
     w.store(f"{name}.clip", clip, line.span)
     w.store(f"{name}.clip_turns", b("where", _loops(w, clip), draw, b.number(0)), line.span)
@@ -105,7 +105,7 @@ def enter(w: Writer, machine: model.Machine, state: model.State) -> None:
 
 def rest(w: Writer, machine: model.Machine, state: model.State) -> None:
     """In a state without a clip, of a machine that has clips: let the previous clip fade out to none."""
-    if plays(machine) and not any(isinstance(line, model.Play) for line in state.body):
+    if plays_clips(machine) and not any(isinstance(line, model.Play) for line in state.body):
         _step(w, machine.name, w.b.row(NONE), None, w.b.number(0), state.span)
 
 
@@ -114,7 +114,7 @@ def play(w: Writer, machine: str, line: model.Play) -> None:
     b = w.b
     speed = None if line.speed is None else scalar(w, line.speed)
     weight = b.number(1) if line.weight is None else b("min", b("max", scalar(w, line.weight), b.number(0)), b.number(1))
-    _step(w, machine, _number(w, line), speed, weight, line.span)
+    _step(w, machine, _clip_number(w, line), speed, weight, line.span)
 
 
 def _step(w: Writer, machine: str, clip: Node, speed: Node | None, weight: Node, span: Span) -> None:
@@ -140,16 +140,16 @@ def _step(w: Writer, machine: str, clip: Node, speed: Node | None, weight: Node,
     w.store(f"{machine}.clip_waits", waits, span)
     w.store(f"{machine}.clip_last", turns, span)
     w.store(f"{machine}.clip_turns", b("where", waits if none else b("not", begins), further, turns), span)
-    _become(w, machine, clip, span)
+    _start_clip(w, machine, clip, span)
     _fade(w, machine, span)
     w.store(f"{machine}.clip_weight", b("where", waits, w.read(f"{machine}.clip_weight"), weight), span)
 
 
-def test(w: Writer, e: model.ClipTest) -> Node:
+def lower_clip_test(w: Writer, e: model.ClipTest) -> Node:
     """Return whether a clip passed a mark in the last step (`clip at MARK`), or ended since it began (`clip done`)."""
     b, machine = w.b, e.machine
     names = next(m for m in w.species.machines if m.name == machine)
-    if not plays(names):
+    if not plays_clips(names):
         return b.false
     turns, last = w.read(f"{machine}.clip_turns"), w.read(f"{machine}.clip_last")
     has_begun = b("not", w.read(f"{machine}.clip_waits"))
@@ -166,12 +166,12 @@ def _first_turns(w: Writer, machine: str, clip: Node, step: Node) -> tuple[Node,
     """Return the first turns of another clip, and its turns before that. It begins at 0, or in step with the previous clip if
     both cover ground; it then advances by `step` turns."""
     b, previous_clip, turns = w.b, w.read(f"{machine}.clip"), w.read(f"{machine}.clip_turns")
-    both = b("and", b("ne", previous_clip, clip), b("and", _walks(w, previous_clip), _walks(w, clip)))
+    both = b("and", b("ne", previous_clip, clip), b("and", _covers_ground(w, previous_clip), _covers_ground(w, clip)))
     part = b("sub", turns, b("floor", turns))
     return b("where", both, b("add", part, step), b.number(0)), b("where", both, part, b.number(-_START_OFFSET))
 
 
-def _become(w: Writer, machine: str, clip: Node, span: Span | None) -> None:
+def _start_clip(w: Writer, machine: str, clip: Node, span: Span | None) -> None:
     """Begin another clip; the clips before it move back by one place."""
     b = w.b
     with w.region(w.read(_BEGINS), span or w.species.span):
@@ -211,16 +211,16 @@ def _pace(w: Writer, clip: Node) -> Node:
     return b("where", b("gt", stride, b.number(0)), by_ground, b("div", b.number(1), b("max", seconds, w.run("dt"))))
 
 
-def _number(w: Writer, line: model.Play) -> Node:
+def _clip_number(w: Writer, line: model.Play) -> Node:
     """The number of the clip of a line."""
-    return w.b.row(clips_of(w.species).index(_planned(line)))
+    return w.b.row(clips_of(w.species).index(_clip_plan(line)))
 
 
 def _loops(w: Writer, clip: Node) -> Node:
     return w.b("gt", w.b("clip.value", clip, attrs=("loop",)), w.b.number(0.5))
 
 
-def _walks(w: Writer, clip: Node) -> Node:
+def _covers_ground(w: Writer, clip: Node) -> Node:
     return w.b("gt", w.b("clip.value", clip, attrs=("stride",)), w.b.number(0))
 
 
@@ -256,10 +256,10 @@ def settle(w: Writer) -> None:
     share = b("sub", b.number(1), b("exp", b("neg", b("div", dt, b.number(SMOOTH)))))
     for name, measure, full_value in (("turn", turned, TURN), ("slope", climb, SLOPE)):
         now = w.read(f"lean#{name}")
-        wish = _limited(w, b("div", measure, b.number(full_value)))
+        wish = _limit(w, b("div", measure, b.number(full_value)))
         w.store(f"lean#{name}", b("add", now, b("mul", b("sub", wish, now), share)), None)
     w.store_vector("lean#was", heading, None)
 
 
-def _limited(w: Writer, measure: Node) -> Node:
+def _limit(w: Writer, measure: Node) -> Node:
     return w.b("min", w.b("max", measure, w.b.number(-1)), w.b.number(1))

@@ -8,8 +8,8 @@ from typing import Any
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.values import Element, Group, Hit, Hits, Named, Own, Ref, Value, Vec
-from antdsl.plan.lowering.writer import AXES, KINDS, NONE, NotYet, Writer
+from antdsl.plan.lowering.values import Element, EntityRef, Group, Hit, Hits, NamedThing, OwnPlace, Value, Vec
+from antdsl.plan.lowering.writer import AXES, KINDS, NONE, UnsupportedConstruct, Writer
 from antdsl.program import expectations, model
 from antdsl.program.traverse import inside, parts
 
@@ -25,12 +25,12 @@ def lower(w: Writer, expr: model.Expr) -> Value:
 
 def scalar(w: Writer, expr: model.Expr) -> Node:
     """Lower an expression that is one node: a number, a bool, a state, or the row or id of a reference."""
-    return single(w, expr, lower(w, expr))
+    return single_node(w, expr, lower(w, expr))
 
 
-def single(w: Writer, expr: model.Expr, value: Value) -> Node:
+def single_node(w: Writer, expr: model.Expr, value: Value) -> Node:
     """Return the value of a lowered expression as one node."""
-    if isinstance(value, Ref):
+    if isinstance(value, EntityRef):
         return value.node
     if isinstance(value, Element):
         return w.b("other.row") if value.what is model.Kind.ITEM else w.b("other.id")
@@ -56,12 +56,12 @@ def as_truth(w: Writer, value: Value, expr: model.Expr) -> Node:
         return value
     if isinstance(value, Node) and value.kind is Kind.F32:
         return w.b("gt", value, w.b.number(0))
-    return present(w, value, expr)
+    return presence(w, value, expr)
 
 
-def present(w: Writer, value: Value, expr: model.Expr) -> Node:
+def presence(w: Writer, value: Value, expr: model.Expr) -> Node:
     """Whether a reference, a hit or a set is not none."""
-    if isinstance(value, Ref):
+    if isinstance(value, EntityRef):
         if value.what is model.Kind.ITEM:
             return w.b("item.alive", value.node, attrs=(value.of,))
         return w.b("agent.alive", value.node, attrs=(value.of,))
@@ -74,7 +74,7 @@ def present(w: Writer, value: Value, expr: model.Expr) -> Node:
         for hit in value.hits:
             is_any = w.b("or", is_any, hit.hit)
         return is_any
-    if isinstance(value, Element | Own | Vec):
+    if isinstance(value, Element | OwnPlace | Vec):
         return w.b.true
     raise PlanError(f"a {type(value).__name__} is never none: {expr.span.text!r}")
 
@@ -103,9 +103,9 @@ def _power(w: Writer, base: Node, exponent: float) -> Node:
 
 def _none(w: Writer, e: model.NoneRef) -> Value:
     if e.type.kind is model.Kind.ITEM:
-        return Ref(e.type.kind, e.type.of or "", w.b.row(-1))
+        return EntityRef(e.type.kind, e.type.of or "", w.b.row(-1))
     if e.type.kind is model.Kind.AGENT:
-        return Ref(e.type.kind, e.type.of or "", w.b.agent(-1))
+        return EntityRef(e.type.kind, e.type.of or "", w.b.agent(-1))
     if e.type.kind is model.Kind.HIT:
         nothing = values.zero(w.b)
         return Hit(w.b.false, w.b.number(float("inf")), nothing, nothing)
@@ -121,21 +121,23 @@ def _param(w: Writer, e: model.ParamRef) -> Value:
     return w.b("ne", node, w.b.number(0)) if e.type.kind is model.Kind.BOOL else node
 
 
-def _thing(w: Writer, e: model.Thing) -> Value:
+def _thing(w: Writer, e: model.ThingRef) -> Value:
     if e.name == "self":
-        return Own()
-    return Named(e.type.kind, e.name)
+        return OwnPlace()
+    return NamedThing(e.type.kind, e.name)
 
 
 # --- names with a value ----------------------------------------------------------------------------------------------
 
 
-def _local(w: Writer, e: model.Local) -> Value:
+def _local(w: Writer, e: model.BindingRef) -> Value:
     binding = e.binding
     if binding in w.environment:
         value = w.environment[binding]
         if isinstance(value, Element) and binding is not w.elements[-1]:
-            raise NotYet(f"`{binding.name}` inside a second set", e.span, "let each set look at its own elements only")
+            raise UnsupportedConstruct(
+                f"`{binding.name}` inside a second set", e.span, "let each set look at its own elements only"
+            )
         return value
     if binding.role == "latch":
         return w.read_now(binding.key or binding.name)
@@ -150,7 +152,7 @@ def _let(w: Writer, binding: model.Binding) -> Value:
     A snapshot holds for the whole step. Other lets, and all lets at birth, hold until the next store."""
     lasting = binding.snapshot and not w.born
     known = w.lets if lasting else w.fleeting
-    for each in _needed(w, binding, known):
+    for each in _needed_lets(w, binding, known):
         assert each.value is not None
         outer_met, w.met = w.met, []
         outer_snapshot, w.snapshot = w.snapshot, lasting
@@ -161,11 +163,11 @@ def _let(w: Writer, binding: model.Binding) -> Value:
             w.met, w.snapshot = outer_met, outer_snapshot
     value, memories = known[binding]
     for memory in memories:
-        w.remember(memory)
+        w.advance_memory(memory)
     return value
 
 
-def _needed(w: Writer, binding: model.Binding, known: Container[model.Binding]) -> list[model.Binding]:
+def _needed_lets(w: Writer, binding: model.Binding, known: Container[model.Binding]) -> list[model.Binding]:
     """Return the lets to lower first, innermost first. This avoids deep recursion for a long chain of lets."""
     order: list[model.Binding] = []
     stack: list[tuple[model.Binding, bool]] = [(binding, False)]
@@ -180,22 +182,22 @@ def _needed(w: Writer, binding: model.Binding, known: Container[model.Binding]) 
             continue
         stack.append((each, True))
         assert each.value is not None
-        for used in (e.binding for e in inside(each.value) if isinstance(e, model.Local)):
+        for used in (e.binding for e in inside(each.value) if isinstance(e, model.BindingRef)):
             if used.role == "let" and used not in w.environment and used.snapshot == binding.snapshot:
                 stack.append((used, False))
     return order
 
 
-def _inline(w: Writer, e: model.Inline) -> Value:
+def _inline(w: Writer, e: model.InlinedBehaviour) -> Value:
     for argument in e.arguments:
         assert argument.value is not None
         w.environment[argument] = lower(w, argument.value)
     for binding in e.body:
-        w.environment[binding] = _keep(w, binding) if binding.role == "keep" else _plain(w, binding)
+        w.environment[binding] = _keep(w, binding) if binding.role == "keep" else _plain_let(w, binding)
     return lower(w, e.result)
 
 
-def _plain(w: Writer, binding: model.Binding) -> Value:
+def _plain_let(w: Writer, binding: model.Binding) -> Value:
     assert binding.value is not None
     return lower(w, binding.value)
 
@@ -213,10 +215,10 @@ def _keep(w: Writer, binding: model.Binding) -> Value:
     stores = (
         [(f"{binding.key}.{a}", n, binding.span) for a, n in zip(AXES, now, strict=True)]
         if isinstance(now, Vec)
-        else [(binding.key, now.node if isinstance(now, Ref) else now, binding.span)]
+        else [(binding.key, now.node if isinstance(now, EntityRef) else now, binding.span)]
     )
     w.memories[binding] = (*stores, (on, w.b.true, binding.span))
-    w.remember(binding)
+    w.advance_memory(binding)
     return now
 
 
@@ -224,7 +226,7 @@ def _read_previous(w: Writer, binding: model.Binding) -> Value:
     if binding.type.kind is model.Kind.VECTOR:
         return Vec(*(w.read_previous(f"{binding.key}.{axis}") for axis in AXES))
     node = w.read_previous(binding.key)
-    return Ref(binding.type.kind, binding.type.of or "", node) if binding.type.kind in NONE else node
+    return EntityRef(binding.type.kind, binding.type.of or "", node) if binding.type.kind in NONE else node
 
 
 def select(w: Writer, condition: Node, then: Value, other: Value) -> Value:
@@ -237,17 +239,17 @@ def select(w: Writer, condition: Node, then: Value, other: Value) -> Value:
             b("where", condition, then.hit, other.hit), b("where", condition, then.distance, other.distance),
             values.choose(b, condition, then.normal, other.normal), values.choose(b, condition, then.direction, other.direction),
         )  # fmt: skip
-    then, other = _referable(w, then), _referable(w, other)
-    if isinstance(then, Ref) and isinstance(other, Ref):
-        return Ref(then.what, then.of or other.of, b("where", condition, then.node, other.node))
+    then, other = _as_reference(w, then), _as_reference(w, other)
+    if isinstance(then, EntityRef) and isinstance(other, EntityRef):
+        return EntityRef(then.what, then.of or other.of, b("where", condition, then.node, other.node))
     if isinstance(then, Node) and isinstance(other, Node):
         return b("where", condition, then, other)
     raise PlanError(f"cannot choose between a {type(then).__name__} and a {type(other).__name__}")
 
 
-def _referable(w: Writer, value: Value) -> Value:
+def _as_reference(w: Writer, value: Value) -> Value:
     if isinstance(value, Element):
-        return Ref(value.what, value.of, w.b("other.row") if value.what is model.Kind.ITEM else w.b("other.id"))
+        return EntityRef(value.what, value.of, w.b("other.row") if value.what is model.Kind.ITEM else w.b("other.id"))
     return value
 
 
@@ -260,15 +262,17 @@ def _attribute(w: Writer, e: model.Attribute) -> Value:
         return w.rules.pair_value(w, pair_attribute, e.of)
     owner = None if e.of is None else lower(w, e.of)
     if e.name == "moved" and "moved" not in w.registers and getattr(owner, "what", None) is not model.Kind.ITEM:
-        raise NotYet("`moved`, which nothing in the program asks for,", e.span, "add `let pushed = moved` to a species")
-    if owner is None or isinstance(owner, Own):
-        return own(w, e.name, e.type)
+        raise UnsupportedConstruct(
+            "`moved`, which nothing in the program asks for,", e.span, "add `let pushed = moved` to a species"
+        )
+    if owner is None or isinstance(owner, OwnPlace):
+        return own_attribute(w, e.name, e.type)
     if isinstance(owner, Hit):
         return _of_hit(w, owner, e)
-    if not isinstance(owner, Element | Ref):
+    if not isinstance(owner, Element | EntityRef):
         raise PlanError(f"`{e.name}` of a {type(owner).__name__}")
     if e.name == "speed":
-        return values.length(w.b, Vec(*(_others(w, owner, f"velocity.{axis}", Kind.F32) for axis in AXES)))
+        return values.length(w.b, Vec(*(_read_other(w, owner, f"velocity.{axis}", Kind.F32) for axis in AXES)))
     if e.name == "id" and owner.what is model.Kind.AGENT:
         return w.b("number", w.b("other.id") if isinstance(owner, Element) else owner.node)
     if e.name == "age":
@@ -279,18 +283,18 @@ def _attribute(w: Writer, e: model.Attribute) -> Value:
             return w.b.number(0)
     if e.type.kind is model.Kind.VECTOR:
         prefix = "" if owner.what is model.Kind.ITEM and e.name == "position" else f"{e.name}."
-        return Vec(*(_others(w, owner, f"{prefix}{axis}", Kind.F32) for axis in AXES))
-    return typed(w, _others(w, owner, e.name, KINDS[e.type.kind], NONE.get(e.type.kind)), e.type)
+        return Vec(*(_read_other(w, owner, f"{prefix}{axis}", Kind.F32) for axis in AXES))
+    return as_typed_value(w, _read_other(w, owner, e.name, KINDS[e.type.kind], NONE.get(e.type.kind)), e.type)
 
 
-def typed(w: Writer, node: Node, type: model.Type) -> Value:
+def as_typed_value(w: Writer, node: Node, type: model.Type) -> Value:
     """Return a register's node as a value of the language; a number that stands for a bool becomes a bool."""
     if type.kind in NONE:
-        return Ref(type.kind, type.of or "", node)
+        return EntityRef(type.kind, type.of or "", node)
     return w.b("ne", node, w.b.number(0)) if type.kind is model.Kind.BOOL and node.kind is Kind.F32 else node
 
 
-def own(w: Writer, name: str, type: model.Type) -> Value:
+def own_attribute(w: Writer, name: str, type: model.Type) -> Value:
     """An attribute of the agent itself."""
     if name == "id":
         return w.b("number", w.b("id"))
@@ -302,7 +306,7 @@ def own(w: Writer, name: str, type: model.Type) -> Value:
         return w.read_vector(name)
     if name == "min_speed" and name not in w.registers:
         return w.b.number(0)
-    return typed(w, w.read(name), type)
+    return as_typed_value(w, w.read(name), type)
 
 
 def measures_pushes(program: model.Program) -> bool:
@@ -320,7 +324,7 @@ def keeps_moving(species: model.Species) -> bool:
     return any(isinstance(part, model.Assign) and part.attribute == "min_speed" for part in parts(species))
 
 
-def _others(w: Writer, owner: Element | Ref, register: str, kind: Kind, none: int | None = None) -> Node:
+def _read_other(w: Writer, owner: Element | EntityRef, register: str, kind: Kind, none: int | None = None) -> Node:
     if owner.what is model.Kind.ITEM:
         kind = Kind.F32  # items have numbers only
     if isinstance(owner, Element):
@@ -337,8 +341,8 @@ def _of_hit(w: Writer, hit: Hit, e: model.Attribute) -> Value:
     if e.name == "distance":
         return w.b("where", hit.hit, hit.distance, w.b.number(float("inf")))
     if e.name == "normal":
-        return values.keep_if(w.b, hit.hit, hit.normal)
-    reach = values.keep_if(w.b, hit.hit, values.scale(w.b, hit.direction, hit.distance))
+        return values.vector_if(w.b, hit.hit, hit.normal)
+    reach = values.vector_if(w.b, hit.hit, values.scale(w.b, hit.direction, hit.distance))
     return values.add(w.b, w.read_vector("position"), reach)
 
 
@@ -348,7 +352,7 @@ def _of_hit(w: Writer, hit: Hit, e: model.Attribute) -> Value:
 def _op(w: Writer, e: model.Op) -> Value:
     rule = w.rules.operations.get(e.name)
     if rule is None:
-        raise NotYet(f"`{e.name}`", e.span, "leave the line out")
+        raise UnsupportedConstruct(f"`{e.name}`", e.span, "leave the line out")
     return rule(w, e)
 
 
@@ -370,8 +374,8 @@ def _lower_tell(w: Writer, e: model.Expr) -> Value:
 
 _LOWER: dict[type, Callable[[Writer, Any], Value]] = {
     model.Const: _const, model.NoneRef: _none, model.StateConst: _state, model.ClipTest: _clip_test, model.ParamRef: _param,
-    model.Thing: _thing, model.Local: _local, model.Inline: _inline, model.Attribute: _attribute, model.Op: _op,
+    model.ThingRef: _thing, model.BindingRef: _local, model.InlinedBehaviour: _inline, model.Attribute: _attribute, model.Op: _op,
     model.SetOf: _set, model.Reduce: _reduce,
-    expectations.Aggregate: _lower_tell, expectations.AtStart: _lower_tell, expectations.Measured: _lower_tell,
-    expectations.Other: _lower_tell, expectations.Bodily: _lower_tell, expectations.CellValue: _lower_tell,
+    expectations.Aggregate: _lower_tell, expectations.AtStart: _lower_tell, expectations.MotionMeasure: _lower_tell,
+    expectations.OtherRun: _lower_tell, expectations.BodyMeasure: _lower_tell, expectations.CellValue: _lower_tell,
 }  # fmt: skip

@@ -18,14 +18,14 @@ from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Block, Kind, Node
 from antdsl.plan.lowering import appearance, birth, blending, clips, pair_values
 from antdsl.plan.lowering.actions import STEER, complain, write
-from antdsl.plan.lowering.expressions import measures_pushes, own, scalar, truth, vector
+from antdsl.plan.lowering.expressions import measures_pushes, own_attribute, scalar, truth, vector
 from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.rules import RULES
 from antdsl.plan.lowering.source_map import Notes, NotingWriter
-from antdsl.plan.lowering.values import Ref, Vec, scale, sub
+from antdsl.plan.lowering.values import EntityRef, Vec, scale, sub
 from antdsl.plan.lowering.values import add as add_vectors
-from antdsl.plan.lowering.writer import AXES, NotYet, Writer
-from antdsl.plan.traverse import lazy, needed, operands, statements
+from antdsl.plan.lowering.writer import AXES, UnsupportedConstruct, Writer
+from antdsl.plan.traverse import find_shared_senses, operands, required_nodes, statements
 from antdsl.program import model
 from antdsl.program.tables.things import KINDS_OF_THINGS
 
@@ -61,7 +61,9 @@ def lower(
     with _deep_recursion():
         species = {s.name: species_plan(s) for s in program.species.values()}
         fields = {f.name: _field(builder, program, f, report) for f in program.fields.values()}
-        params = {p.name: ir.ParamPlan(p.name, _outside(builder, program, p.default, report)) for p in program.params.values()}
+        params = {
+            p.name: ir.ParamPlan(p.name, _lower_outside(builder, program, p.default, report)) for p in program.params.values()
+        }
     world = program.world.values()
     items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in world if t.kind == "items"}
     things = {k: tuple(t.name for t in world if t.kind == k) for k in KINDS_OF_THINGS if k not in ("items", "species")}
@@ -91,7 +93,7 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
     appearance.declare(w)
     clips.declare_leaning(w)
     machines = [MachineWriter(w, machine) for machine in species.machines]
-    born = _born(w, machines)
+    born = _lower_birth(w, machines)
     with w.block() as finish_block:
         _decide(w, machines)
         decide = finish_block()
@@ -107,20 +109,20 @@ def _species(w: Writer, order: Sequence[str] | None) -> ir.SpeciesPlan:
         for machine in machines:
             machine.advance()
         blend = finish_block()
-    nodes = needed(node for phase in (decide, act, blend) for _, s in statements(phase) for node in operands(s))
+    nodes = required_nodes(node for phase in (decide, act, blend) for _, s in statements(phase) for node in operands(s))
     events = tuple(sorted({node.attrs[0] for node in nodes if node.op == "event"}))
     return ir.SpeciesPlan(
         species.name, w.registers, tuple(m.plan() for m in machines), born, decide, act, blend, events, layers,
-        lazy(decide, act, blend), {a.name: pair_values.at_rest(w, a) for a in species.attributes if a.each},
+        find_shared_senses(decide, act, blend), {a.name: pair_values.rest_value(w, a) for a in species.attributes if a.each},
         clips.clips_of(species), appearance.wears_of(species), appearance.channels_of(species), appearance.looks_of(species),
     )  # fmt: skip
 
 
-def _born(w: Writer, machines: list[MachineWriter]) -> Block:
+def _lower_birth(w: Writer, machines: list[MachineWriter]) -> Block:
     """Return the block of birth, a separate step: the first real step sees what it stored as values at its start."""
     w.born = True
     with w.block() as finish_block:
-        birth.born(w, machines)
+        birth.write_birth(w, machines)
         block = finish_block()
     w.born = False
     w.begin_step()
@@ -148,7 +150,7 @@ def _relax(w: Writer, attribute: model.AttributeDecl) -> None:
     assert attribute.relax_to is not None and attribute.relax_over is not None
     b.span = attribute.span
     share = b("sub", b.number(1), b("exp", b("neg", b("div", w.run("dt"), scalar(w, attribute.relax_over)))))
-    now = own(w, attribute.name, attribute.type)
+    now = own_attribute(w, attribute.name, attribute.type)
     if isinstance(now, Vec):
         rest = vector(w, attribute.relax_to)
         w.store_vector(attribute.name, add_vectors(b, now, scale(b, sub(b, rest, now), share)), attribute.span)
@@ -166,7 +168,7 @@ def _latch(w: Writer, latch: model.Binding) -> None:
     try:
         on = b("where", w.read_previous(name), b("not", truth(w, latch.then)), truth(w, latch.value))
         w.store(name, on, latch.span)
-    except NotYet as missing:
+    except UnsupportedConstruct as missing:
         complain(w, missing)
 
 
@@ -186,7 +188,7 @@ def _handler(w: Writer, handler: model.Handler, number: int, partners: Mapping[s
 # --- the rest --------------------------------------------------------------------------------------------------------
 
 
-def _outside(builder: Builder, program: model.Program, e: model.Expr, report: Report) -> Node:
+def _lower_outside(builder: Builder, program: model.Program, e: model.Expr, report: Report) -> Node:
     """An expression that no agent is needed for."""
     empty_species = model.Species("", "", (), (), (), (), (), (), model.Layers("budget", (), e.span), e.span)
     return scalar(Writer(builder, program, empty_species, report, RULES), e)
@@ -194,7 +196,7 @@ def _outside(builder: Builder, program: model.Program, e: model.Expr, report: Re
 
 def _field(builder: Builder, program: model.Program, f: model.Field, report: Report) -> ir.FieldPlan:
     def node(e: model.Expr | None) -> Node | None:
-        return None if e is None else _outside(builder, program, e, report)
+        return None if e is None else _lower_outside(builder, program, e, report)
 
     for surface in f.surfaces:
         thing = program.world.get(surface)
@@ -234,14 +236,14 @@ def stand_still(w: Writer, machines: Sequence[MachineWriter]) -> None:
         w.declare(f"{STEER}.{axis}", Kind.F32, "temp")
     with w.region(silent, rest.span):
         push = vector(w, rest.push)
-        w.rested(rest, push)
+        w.note_rest(rest, push)
         w.store_vector(STEER, push, rest.span)
 
 
 def declare(w: Writer) -> None:
     """Declare the ids of the others that an agent touches, of each species that a handler is about."""
     for of in _met(w.species):
-        for name in _touched(w.species, of):
+        for name in _touch_registers(w.species, of):
             w.declare(name, Kind.I64, "memory", -1, of)
 
 
@@ -249,7 +251,7 @@ def notice(w: Writer) -> dict[str, Node]:
     """Return the id of the other that an agent has begun to touch, -1 for none, by species; from here on it counts as touched."""
     partners = {}
     for of, handler in _met(w.species).items():
-        names = _touched(w.species, of)
+        names = _touch_registers(w.species, of)
         w.b.span = handler.span
         contact = w.b("contact", *(w.read_previous(name) for name in names), attrs=(of,))
         for number, name in enumerate(names, 1):
@@ -261,7 +263,7 @@ def notice(w: Writer) -> dict[str, Node]:
 def bind(w: Writer, handler: model.Handler, partner: Node) -> None:
     """Bind the name in the brackets of a handler to the agent `partner`."""
     if handler.other is not None:
-        w.environment[handler.other] = Ref(model.Kind.AGENT, handler.of, partner)
+        w.environment[handler.other] = EntityRef(model.Kind.AGENT, handler.of, partner)
 
 
 def _met(species: model.Species) -> dict[str, model.Handler]:
@@ -273,5 +275,5 @@ def _met(species: model.Species) -> dict[str, model.Handler]:
     return handlers
 
 
-def _touched(species: model.Species, of: str) -> Sequence[str]:
+def _touch_registers(species: model.Species, of: str) -> Sequence[str]:
     return [f"{species.name}.touched.{of}#{number}" for number in range(1, limits.TOUCHED + 1)]

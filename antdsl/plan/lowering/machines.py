@@ -14,9 +14,9 @@ from antdsl.plan import ir
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import clips
 from antdsl.plan.lowering.actions import complain, write
-from antdsl.plan.lowering.expressions import lower, present, scalar, truth
-from antdsl.plan.lowering.values import Named, Ref
-from antdsl.plan.lowering.writer import NotYet, Writer
+from antdsl.plan.lowering.expressions import lower, presence, scalar, truth
+from antdsl.plan.lowering.values import EntityRef, NamedThing
+from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
 from antdsl.program import model
 
 SLACK = 1 - 4e-7  # 0.5 s at 24 frames a second is 12 steps, also where the quotient of two float32 says 12.000001
@@ -41,7 +41,7 @@ class MachineWriter:
         for part in ("state", "previous", "next"):
             w.declare(f"{self.name}.{part}", Kind.I32, "memory")
         w.declare(f"{self.name}.time_in_state", Kind.F32, "memory")
-        if clips.plays(machine):
+        if clips.plays_clips(machine):
             clips.declare(w, machine)
         w.declare(self.pending, Kind.I32, "temp")
         w.declare(self.won, Kind.BOOL, "temp")
@@ -67,7 +67,7 @@ class MachineWriter:
             self.machine.start,
         )
 
-    def _in(self, state: model.State) -> Node:
+    def _is_in(self, state: model.State) -> Node:
         if len(self.machine.states) == 1:
             return self.w.b.true
         return self.w.b("eq", self.w.read(f"{self.name}.state"), self.w.b.row(state.index))
@@ -97,23 +97,23 @@ class MachineWriter:
     def decide(self) -> None:
         """Check the transitions of each state in order; the first that is true wins. Winners that take something emit claims."""
         by_state = [(s, [c for c in self.changes if c.state is s]) for s in self.machine.states]
-        self.w.alternatives([(self._in(s), s.span, partial(self._weigh, cs)) for s, cs in by_state if cs])
+        self.w.alternatives([(self._is_in(s), s.span, partial(self._weigh, cs)) for s, cs in by_state if cs])
         self._per_change([c for c in self.changes if c.transition.take], self._claim)
 
     def _per_state(self, states: Iterable[model.State], write: Callable[[model.State], None]) -> None:
-        self.w.alternatives([(self._in(s), s.span, partial(write, s)) for s in states])
+        self.w.alternatives([(self._is_in(s), s.span, partial(write, s)) for s in states])
 
     def _per_change(self, changes: Iterable[_Change], write: Callable[[_Change], None]) -> None:
-        self.w.alternatives([(self._is(c), c.transition.span, partial(write, c)) for c in changes])
+        self.w.alternatives([(self._is_change(c), c.transition.span, partial(write, c)) for c in changes])
 
-    def _is(self, change: _Change) -> Node:
+    def _is_change(self, change: _Change) -> Node:
         return self.w.b("eq", self.w.read(self.pending), self.w.b.row(change.number))
 
     def _weigh(self, changes: list[_Change]) -> None:
         winner = self.w.b.row(0)
         weighed = [(c, self._fires(c)) for c in changes]
         for change, fires in weighed:
-            self.w.weighed(self.name, change.number, change.state, change.transition, fires)
+            self.w.note_transition(self.name, change.number, change.state, change.transition, fires)
         for change, fires in reversed(weighed):
             winner = self.w.b("where", fires, self.w.b.row(change.number), winner)
         self.w.store(self.pending, winner, changes[0].state.span)
@@ -124,26 +124,26 @@ class MachineWriter:
         try:
             holds = w.b.true if t.condition is None else truth(w, t.condition)
             if t.held is not None:
-                holds = self._held(t, holds, t.held)
+                holds = self._has_held(t, holds, t.held)
             if t.delay is not None:
-                holds = w.b("and", passed(w, self.name, t.delay), holds)
+                holds = w.b("and", has_passed(w, self.name, t.delay), holds)
             if change.state.at_least is not None and not t.interrupt:
-                holds = w.b("and", passed(w, self.name, change.state.at_least), holds)
-            if self._anywhere(t) and t.target is None:
+                holds = w.b("and", has_passed(w, self.name, change.state.at_least), holds)
+            if self._is_from_any(t) and t.target is None:
                 holds = w.b("and", holds, w.b("ne", self._target(change), w.read(f"{self.name}.state")))
             if t.take is not None and t.take.source.type.kind is not model.Kind.FIELD:
-                holds = w.b("and", holds, present(w, lower(w, t.take.source), t.take.source))
+                holds = w.b("and", holds, presence(w, lower(w, t.take.source), t.take.source))
             return holds
-        except NotYet as missing:
+        except UnsupportedConstruct as missing:
             complain(w, missing)
             return w.b.false
 
-    def _anywhere(self, t: model.Transition) -> bool:
+    def _is_from_any(self, t: model.Transition) -> bool:
         """Return whether a transition was declared `from any`. It never leads into the current state, even where only the run
         shows which state that is."""
         return t.key.startswith(f"{self.site}.{model.ANYWHERE}->")
 
-    def _held(self, t: model.Transition, holds: Node, duration: model.Expr) -> Node:
+    def _has_held(self, t: model.Transition, holds: Node, duration: model.Expr) -> Node:
         """Return whether the condition holds now and has held without a break for `duration` before this step."""
         b, counter = self.w.b, _counter(t)
         previous_count = self.w.read_previous(counter)
@@ -157,15 +157,15 @@ class MachineWriter:
         source = lower(w, take.source)
         own = take.attribute if take.attribute in w.registers else None
         amount = None if take.amount is None else scalar(w, take.amount)
-        if isinstance(source, Named):
+        if isinstance(source, NamedThing):
             of, item, attribute = source.name, None, ""
         else:
-            assert isinstance(source, Ref) and take.attribute is not None
+            assert isinstance(source, EntityRef) and take.attribute is not None
             of, item, attribute = source.of, source.node, take.attribute
         w.add(ir.Claim(of, attribute, item, amount, self.won, own, change.transition.key, take.span))
-        w.wrote(self.won)
+        w.mark_written(self.won)
         if own:
-            w.wrote(own)
+            w.mark_written(own)
 
     # --- act ---------------------------------------------------------------------------------------------------------
 
@@ -173,7 +173,7 @@ class MachineWriter:
         """Write exit, the transition's actions, the change and enter; then the body of the new state."""
         w = self.w
         if self.changes:
-            with w.region(self._changing(), self.machine.span):
+            with w.region(self._is_changing(), self.machine.span):
                 self._change()
         self._per_state(self.machine.states, self._body)
 
@@ -181,7 +181,7 @@ class MachineWriter:
         write(self.w, state.body, f"{self.site}.{state.name}", self.name)
         clips.rest(self.w, self.machine, state)
 
-    def _changing(self) -> Node:
+    def _is_changing(self) -> Node:
         b = self.w.b
         chosen = b("ne", self.w.read(self.pending), b.row(0))
         taking = [c for c in self.changes if c.transition.take]
@@ -189,7 +189,7 @@ class MachineWriter:
             return chosen
         is_requested = b.false
         for change in taking:
-            is_requested = b("or", is_requested, self._is(change))
+            is_requested = b("or", is_requested, self._is_change(change))
         return b("and", chosen, b("or", b("not", is_requested), self.w.read(self.won)))
 
     def _change(self) -> None:
@@ -197,10 +197,10 @@ class MachineWriter:
         old = w.read(f"{name}.state")
         target = old
         for change in reversed(self.changes):
-            target = b("where", self._is(change), self._target(change), target)
+            target = b("where", self._is_change(change), self._target(change), target)
         w.store(f"{name}.next", target, self.machine.span)
         self._per_state((s for s in self.machine.states if s.exit), lambda s: write(w, s.exit, f"{self.site}.{s.name}.exit"))
-        if clips.plays(self.machine):
+        if clips.plays_clips(self.machine):
             self._per_change(self.changes, lambda c: clips.give_way(w, self.machine, c.transition.over, c.transition.span))
         acting = (c for c in self.changes if c.transition.actions)
         self._per_change(acting, lambda c: write(w, c.transition.actions, c.transition.key))
@@ -221,7 +221,7 @@ class MachineWriter:
             total = b("add", total, weight)
             bounds.append((index, total))
         draw = b("draw", attrs=(f"{t.key}.choose", 0))
-        w.chosen(t.key, draw, weights)
+        w.note_choice(t.key, draw, weights)
         place = b("mul", draw, total)
         target = b.row(t.choices[-1][0])
         for index, bound in reversed(bounds[:-1]):
@@ -253,7 +253,7 @@ def steps(w: Writer, duration: Node) -> Node:
     return b("neg", b("floor", b("neg", ratio)))
 
 
-def passed(w: Writer, machine: str, duration: model.Expr) -> Node:
+def has_passed(w: Writer, machine: str, duration: model.Expr) -> Node:
     """The agent has been in the machine's state for that long."""
     b = w.b
     nearly = b("sub", steps(w, scalar(w, duration)), b.number(0.5))

@@ -10,8 +10,8 @@ from math import inf, nan
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering.expressions import lower, scalar
-from antdsl.plan.lowering.sets import bound, gather
-from antdsl.plan.lowering.values import Element, Group, Own, Value
+from antdsl.plan.lowering.sets import bound, lower_set
+from antdsl.plan.lowering.values import Element, Group, OwnPlace, Value
 from antdsl.plan.lowering.writer import Writer
 from antdsl.plan.registers import slot_names
 from antdsl.program import model
@@ -28,7 +28,7 @@ def declare(w: Writer, attribute: model.AttributeDecl) -> None:
     w.declare(attribute.name, Kind.F32, "temp")
 
 
-def declared(w: Writer, name: str) -> model.AttributeDecl | None:
+def find_declaration(w: Writer, name: str) -> model.AttributeDecl | None:
     """The value per pair of a name."""
     return next((a for a in w.species.attributes if a.name == name and a.each), None)
 
@@ -36,19 +36,19 @@ def declared(w: Writer, name: str) -> model.AttributeDecl | None:
 def read(w: Writer, attribute: model.AttributeDecl, of: model.Expr) -> Node:
     """`likes[other]`."""
     other_id = _id(w, lower(w, of))
-    result = at_rest(w, attribute)
+    result = rest_value(w, attribute)
     for who, value in reversed(_slots(w, attribute)):
         result = w.b("where", w.b("eq", who, other_id), value, result)
     if other_id.op == "other.id":
         return result
-    return w.b("where", w.b("eq", other_id, w.b.agent(-1)), at_rest(w, attribute), result)
+    return w.b("where", w.b("eq", other_id, w.b.agent(-1)), rest_value(w, attribute), result)
 
 
 def relax(w: Writer, attribute: model.AttributeDecl) -> None:
     """At the start of a step, relax each value towards its rest, and free the slots of values that have reached it."""
     b = w.b
     b.span = attribute.span
-    rest = at_rest(w, attribute)
+    rest = rest_value(w, attribute)
     keep = b.number(1)
     if attribute.relax_over is not None:
         keep = b("exp", b("neg", b("div", w.run("dt"), scalar(w, attribute.relax_over))))
@@ -67,9 +67,9 @@ def assign(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> None:
     if s.of is None:
         raise PlanError(f"a value per pair without another agent: {s.span.text!r}")
     other_id = _id(w, lower(w, s.of))
-    value = _changed(w, s, read(w, attribute, s.of), scalar(w, s.value))
+    value = _changed_value(w, s, read(w, attribute, s.of), scalar(w, s.value))
     with w.region(w.b("ne", other_id, w.b.agent(-1)), s.span):
-        held = _hold(w, f"~{attribute.name}.id", other_id, s)
+        held = _freeze_value(w, f"~{attribute.name}.id", other_id, s)
         _put(w, attribute, held, value, s, known=True)
 
 
@@ -78,11 +78,11 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
     there are slots. All is computed before anything changes, as the value may use such values itself."""
     b = w.b
     assert s.over is not None and s.element is not None
-    over = gather(w, s.over)
+    over = lower_set(w, s.over)
     if not isinstance(over, Group):
         raise PlanError(f"a value per pair about hits: {s.span.text!r}")
-    rest, zero = at_rest(w, attribute), b.number(0)
-    amount = bound(w, s.element, over.element, lambda: _changed(w, s, zero, scalar(w, s.value)))
+    rest, zero = rest_value(w, attribute), b.number(0)
+    amount = bound(w, s.element, over.element, lambda: _changed_value(w, s, zero, scalar(w, s.value)))
     strength = b("abs", b("sub", amount, rest if s.op == "=" else zero))
     other, slots = b("other.id"), _slots(w, attribute)
     sound = b("eq", b("finite", amount), amount)
@@ -98,7 +98,7 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
             matched_amount if s.op == "=" else b("add", value, matched_amount),
             value,
         )
-        changed_values.append(_hold(w, f"~{attribute.name}.{k}", changed, s))
+        changed_values.append(_freeze_value(w, f"~{attribute.name}.{k}", changed, s))
     new = b.all(holds, b("gt", strength, b.number(NEAR_REST)), *(b("ne", other, who) for who, _ in slots))
     coming = [(f"~{attribute.name}.new.{k}.id", f"~{attribute.name}.new.{k}") for k in range(attribute.strongest)]
     for names in coming:
@@ -130,7 +130,7 @@ def _assign_all(w: Writer, s: model.Assign, attribute: model.AttributeDecl) -> N
     come_in(attribute.strongest)
 
 
-def _hold(w: Writer, name: str, value: Node, s: model.Assign) -> Node:
+def _freeze_value(w: Writer, name: str, value: Node, s: model.Assign) -> Node:
     """Store a value in a temp, so that later stores do not change it."""
     w.declare(name, value.kind, "temp", -1 if value.kind is Kind.I64 else 0)
     w.store(name, value, s.span)
@@ -140,8 +140,8 @@ def _hold(w: Writer, name: str, value: Node, s: model.Assign) -> Node:
 def _put(w: Writer, attribute: model.AttributeDecl, other_id: Node, value: Node, s: model.Assign, known: bool) -> None:
     """Store a value about an agent: in a pass over the slots the stronger stays and the weaker moves to the next, so that the
     weakest of all is left over. `known`: the agent may have a slot already, which is freed first."""
-    b, rest = w.b, at_rest(w, attribute)
-    carried, amount = other_id, _hold(w, attribute.name, value, s)
+    b, rest = w.b, rest_value(w, attribute)
+    carried, amount = other_id, _freeze_value(w, attribute.name, value, s)
     strength = b("abs", b("sub", amount, rest))
     changed: list[tuple[Node, Node]] = []
     for who, stored_value in _slots(w, attribute):
@@ -158,12 +158,12 @@ def _put(w: Writer, attribute: model.AttributeDecl, other_id: Node, value: Node,
     for (who_name, value_name), (who, stored_value) in zip(
         reversed(names), reversed(changed), strict=True
     ):  # none needs what follows it
-        held = _hold(w, f"~{attribute.name}.slot", who, s)
+        held = _freeze_value(w, f"~{attribute.name}.slot", who, s)
         w.store(value_name, stored_value, s.span)
         w.store(who_name, held, s.span)
 
 
-def _changed(w: Writer, s: model.Assign, old: Node, value: Node) -> Node:
+def _changed_value(w: Writer, s: model.Assign, old: Node, value: Node) -> Node:
     if s.op == "=":
         return value
     change = w.b("mul", value, w.run("dt")) if s.per_second else value
@@ -174,13 +174,13 @@ def _slots(w: Writer, attribute: model.AttributeDecl) -> list[tuple[Node, Node]]
     return [(w.read(who), w.read(value)) for who, value in slot_names(attribute.name, attribute.strongest)]
 
 
-def at_rest(w: Writer, attribute: model.AttributeDecl) -> Node:
+def rest_value(w: Writer, attribute: model.AttributeDecl) -> Node:
     """Return the initial and rest value of a pair value: a constant or a param."""
     return scalar(w, attribute.default)
 
 
 def _id(w: Writer, value: Value) -> Node:
     """The id of the agent that a value per pair is about."""
-    if isinstance(value, Own):
+    if isinstance(value, OwnPlace):
         return w.b("id")
     return w.b("other.id") if isinstance(value, Element) else value.node  # type: ignore[union-attr]

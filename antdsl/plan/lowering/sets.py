@@ -10,9 +10,9 @@ from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Node, Rate
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower, scalar, select, truth
-from antdsl.plan.lowering.values import Element, Group, Hit, Hits, Ref, Value, Vec
-from antdsl.plan.lowering.writer import NotYet, Writer
-from antdsl.plan.simplify import value
+from antdsl.plan.lowering.values import Element, EntityRef, Group, Hit, Hits, Value, Vec
+from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
+from antdsl.plan.simplify import constant_value
 from antdsl.program import model
 from antdsl.program.model import Dim
 
@@ -22,7 +22,7 @@ FULL_TURN = 2 * pi - 1e-5
 _MOST = {"neighbours": 2, "all": 1}  # which of a set's arguments says how many count at most
 
 
-def quantum(dim: Dim) -> int:
+def quantum_exponent(dim: Dim) -> int:
     """Return the exponent of the quantum of sums. Terms are rounded to a multiple of 2**quantum of their base unit, so that the
     sum is exact in any order.
 
@@ -33,11 +33,11 @@ def quantum(dim: Dim) -> int:
     return -20 if dim.length <= 1 else -10 if dim.length <= 2 else 0
 
 
-def gather(w: Writer, e: model.SetOf) -> Group | Hits:
+def lower_set(w: Writer, e: model.SetOf) -> Group | Hits:
     """The set with its condition, ready to be reduced."""
     if e.source == "feelers":
-        hits = feel(w, e)
-        narrowed_hits = tuple(_narrowed(w, hit, e.element, e.where) for hit in hits)
+        hits = lower_feelers(w, e)
+        narrowed_hits = tuple(_narrow_hit(w, hit, e.element, e.where) for hit in hits)
         return Hits(narrowed_hits)
     b = w.b
     kind = e.element.type.kind
@@ -45,7 +45,7 @@ def gather(w: Writer, e: model.SetOf) -> Group | Hits:
         kind = model.Kind.ITEM if _is_items(w, e.of) else model.Kind.AGENT
     if e.source == "neighbours":
         radius, fov = scalar_of_agent(w, e.args[0], e), scalar_of_agent(w, e.args[1], e)
-        nodes = b("set.agents", radius, *cone(w, fov), attrs=(e.of, _all_round(fov)))
+        nodes = b("set.agents", radius, *min_cosine(w, fov), attrs=(e.of, _is_full_circle(fov)))
     elif kind is model.Kind.ITEM:
         within = b.number(inf) if not e.args or e.args[0] is None else scalar_of_agent(w, e.args[0], e)
         nodes = b("set.items", within, attrs=(e.of,))
@@ -85,19 +85,21 @@ def scalar_of_agent(w: Writer, e: model.Expr | None, set_expr: model.SetOf) -> N
         raise PlanError(f"a set without its size: {set_expr.span.text!r}")
     node = scalar(w, e)
     if node.rate > Rate.AGENT:
-        raise NotYet("a set with a size that depends on an element of another set", e.span, "use a size that is the agent's own")
+        raise UnsupportedConstruct(
+            "a set with a size that depends on an element of another set", e.span, "use a size that is the agent's own"
+        )
     return node
 
 
-def _all_round(fov: Node) -> bool:
-    known = value(fov)
+def _is_full_circle(fov: Node) -> bool:
+    known = constant_value(fov)
     return known is not None and known >= FULL_TURN
 
 
-def cone(w: Writer, fov: Node) -> tuple[Node]:
+def min_cosine(w: Writer, fov: Node) -> tuple[Node]:
     """Return the smallest cosine between the heading and a direction inside a field of view."""
     b = w.b
-    if _all_round(fov):
+    if _is_full_circle(fov):
         return (b.number(BACKWARD),)
     narrow = b("cos", b("mul", fov, b.number(0.5)))
     return (b("where", b("ge", fov, b.number(FULL_TURN)), b.number(BACKWARD), narrow),)
@@ -121,9 +123,9 @@ def bound(w: Writer, binding: model.Binding, element: Value, body: Callable[[], 
 
 def reduce(w: Writer, e: model.Reduce) -> Value:
     """Lower sum, mean, min, max, count, any, every, best or nearest over a set."""
-    over = gather(w, e.over)
+    over = lower_set(w, e.over)
     if isinstance(over, Hits):
-        return _over_hits(w, e, over)
+        return _reduce_hits(w, e, over)
     b = w.b
     if e.how == "nearest":
         return _element_with_least(w, over, b("pair.distance"))
@@ -143,11 +145,11 @@ def reduce(w: Writer, e: model.Reduce) -> Value:
             raise PlanError("best of something that is no number")
         return _element_with_least(w, over, b("neg", body))
     parts = list(body) if isinstance(body, Vec) else [body]
-    results = [_number_of(w, e.how, over, part, quantum(body_expr.type.dim)) for part in parts]  # type: ignore[arg-type]
+    results = [_reduce_numbers(w, e.how, over, part, quantum_exponent(body_expr.type.dim)) for part in parts]  # type: ignore[arg-type]
     return Vec(*results) if isinstance(body, Vec) else results[0]
 
 
-def _number_of(w: Writer, how: str, over: Group, body: Node, fineness: int) -> Node:
+def _reduce_numbers(w: Writer, how: str, over: Group, body: Node, fineness: int) -> Node:
     b = w.b
     if how in ("min", "max"):
         return b(f"reduce.{how}", over.nodes, over.condition, body)
@@ -160,21 +162,21 @@ def _number_of(w: Writer, how: str, over: Group, body: Node, fineness: int) -> N
     return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
 
 
-def _element_with_least(w: Writer, over: Group, body: Node) -> Ref:
+def _element_with_least(w: Writer, over: Group, body: Node) -> EntityRef:
     op = "reduce.item" if over.element.what is model.Kind.ITEM else "reduce.agent"
-    return Ref(over.element.what, over.element.of, w.b(op, over.nodes, over.condition, body))
+    return EntityRef(over.element.what, over.element.of, w.b(op, over.nodes, over.condition, body))
 
 
 # --- feelers ---------------------------------------------------------------------------------------------------------
 
 
-def feel(w: Writer, e: model.SetOf) -> tuple[Hit, ...]:
+def lower_feelers(w: Writer, e: model.SetOf) -> tuple[Hit, ...]:
     """Rays along the heading, turned about up evenly from one side's `spread` to the other's (Reynolds 1999, p. 12)."""
     b = w.b
     count_expr, spread_expr, reach_expr = e.args
-    count = value(scalar_of_agent(w, count_expr, e))
+    count = constant_value(scalar_of_agent(w, count_expr, e))
     if count is None:
-        raise NotYet("a number of feelers that is not written as a number", e.span, "write it out, `feelers: 3`")
+        raise UnsupportedConstruct("a number of feelers that is not written as a number", e.span, "write it out, `feelers: 3`")
     n = max(1, min(16, int(count)))
     spread, reach = scalar_of_agent(w, spread_expr, e), scalar_of_agent(w, reach_expr, e)
     heading, up = w.read_vector("heading"), w.read_vector("up")
@@ -188,18 +190,18 @@ def feel(w: Writer, e: model.SetOf) -> tuple[Hit, ...]:
             if share == 0
             else values.add(b, values.scale(b, heading, b("cos", angle)), values.scale(b, across, b("sin", angle)))
         )
-        hits.append(cast(w, ahead, reach, e.of))
+        hits.append(cast_ray(w, ahead, reach, e.of))
     return tuple(hits)
 
 
-def cast(w: Writer, direction: Vec, reach: Node, target: str) -> Hit:
+def cast_ray(w: Writer, direction: Vec, reach: Node, target: str) -> Hit:
     """One ray; `direction` is of length 1."""
     ray = w.b("ray", *direction, reach, attrs=(target,))
     hit, distance, x, y, z = (w.b("get", ray, attrs=(i,)) for i in range(5))
     return Hit(hit, distance, Vec(x, y, z), direction)
 
 
-def _narrowed(w: Writer, hit: Hit, element: model.Binding, where: model.Expr | None) -> Hit:
+def _narrow_hit(w: Writer, hit: Hit, element: model.Binding, where: model.Expr | None) -> Hit:
     if where is None:
         return hit
     holds = bound(w, element, _assume_hit(w, hit), lambda: truth(w, where))
@@ -211,7 +213,7 @@ def _assume_hit(w: Writer, hit: Hit) -> Hit:
     return Hit(w.b.true, hit.distance, hit.normal, hit.direction)
 
 
-def _over_hits(w: Writer, e: model.Reduce, over: Hits) -> Value:
+def _reduce_hits(w: Writer, e: model.Reduce, over: Hits) -> Value:
     """Lower the same reductions over hits, unrolled in the order of the rays."""
     b = w.b
     if e.how == "nearest":
@@ -225,33 +227,33 @@ def _over_hits(w: Writer, e: model.Reduce, over: Hits) -> Value:
         if e.how == "best":
             return _hit_with_least(w, over, [b("neg", body) for body in bodies])  # type: ignore[arg-type]
         if e.how not in ("count", "any", "every"):
-            return _number_over_hits(w, e.how, over, bodies)
+            return _reduce_hit_numbers(w, e.how, over, bodies)
         if e.how == "every":
             return b.all(*(b("or", b("not", hit.hit), body) for hit, body in zip(over.hits, bodies, strict=True)))  # type: ignore[arg-type]
         conditions = [b("and", hit.hit, body) for hit, body in zip(over.hits, bodies, strict=True)]  # type: ignore[arg-type]
     if e.how == "any":
-        return _folded(w, "or", conditions, b.false)
-    return _folded(w, "add", [b("number", each) for each in conditions], b.number(0))
+        return _fold_nodes(w, "or", conditions, b.false)
+    return _fold_nodes(w, "add", [b("number", each) for each in conditions], b.number(0))
 
 
-def _folded(w: Writer, op: str, nodes: list[Node], start: Node) -> Node:
+def _fold_nodes(w: Writer, op: str, nodes: list[Node], start: Node) -> Node:
     for node in nodes:
         start = w.b(op, start, node)
     return start
 
 
-def _number_over_hits(w: Writer, how: str, over: Hits, bodies: list[Value]) -> Value:
+def _reduce_hit_numbers(w: Writer, how: str, over: Hits, bodies: list[Value]) -> Value:
     b = w.b
     nothing = {"min": inf, "max": -inf}.get(how, 0.0)
 
     def column(parts: list[Node]) -> Node:
         terms = [b("where", hit.hit, part, b.number(nothing)) for hit, part in zip(over.hits, parts, strict=True)]
         if how in ("min", "max"):
-            return _folded(w, how, terms[1:], terms[0])
-        total = _folded(w, "add", terms, b.number(0))
+            return _fold_nodes(w, how, terms[1:], terms[0])
+        total = _fold_nodes(w, "add", terms, b.number(0))
         if how == "sum":
             return total
-        count = _folded(w, "add", [b("number", hit.hit) for hit in over.hits], b.number(0))
+        count = _fold_nodes(w, "add", [b("number", hit.hit) for hit in over.hits], b.number(0))
         return b("where", b("gt", count, b.number(0)), b("div", total, count), b.number(0))
 
     if isinstance(bodies[0], Vec):

@@ -12,11 +12,11 @@ from antdsl.diagnostics import Report
 from antdsl.plan.builder import Builder, PlanError
 from antdsl.plan.ir import Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, present, scalar, truth
-from antdsl.plan.lowering.machines import passed, steps
+from antdsl.plan.lowering.expressions import lower, presence, scalar, truth
+from antdsl.plan.lowering.machines import has_passed, steps
 from antdsl.plan.lowering.writer import Rules, Writer
 from antdsl.program import model
-from antdsl.program.tables.units import measure, unit_of
+from antdsl.program.tables.units import default_unit, measure
 from antdsl.source import Span
 from antdsl.syntax.words import NUMBER, UNITS
 
@@ -123,75 +123,77 @@ class NotingWriter(Writer):
         super().__init__(builder, program, species, report, rules)
         self.notes = notes
 
-    def weighed(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:
+    def note_transition(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:
         statement_count = len(self.statements)
-        condition = None if t.condition is None else self._part(t.condition, _units(t.span))
+        condition = None if t.condition is None else self._part_note(t.condition, _written_units(t.span))
         holds = None if t.condition is None else truth(self, t.condition)
-        take = None if t.take is None or t.take.source.type.kind is model.Kind.FIELD else self._part(t.take.source, [])
-        timers = tuple(self._timers(machine, state, t))
+        take = None if t.take is None or t.take.source.type.kind is model.Kind.FIELD else self._part_note(t.take.source, [])
+        timers = tuple(self._timer_notes(machine, state, t))
         if len(self.statements) != statement_count:
             raise PlanError(f"a note wrote a statement: {t.span.text!r}")
         self.notes.changes.append(ChangeNote(machine, number, state, t, fires, condition, holds, timers, take))
 
-    def _timers(self, machine: str, state: model.State, t: model.Transition) -> Iterator[TimerNote]:
+    def _timer_notes(self, machine: str, state: model.State, t: model.Transition) -> Iterator[TimerNote]:
         if t.held is not None:
             held_time, needs = self.read_previous(f"{t.key}.held"), steps(self, scalar(self, t.held))
             yield TimerNote("held", held_time, needs, self.b("ge", held_time, needs))
         time_in_state = self.read(f"{machine}.time_in_state")
         if t.delay is not None:
-            yield TimerNote("after", time_in_state, scalar(self, t.delay), passed(self, machine, t.delay))
+            yield TimerNote("after", time_in_state, scalar(self, t.delay), has_passed(self, machine, t.delay))
         if state.at_least is not None and not t.interrupt:
-            yield TimerNote("at least", time_in_state, scalar(self, state.at_least), passed(self, machine, state.at_least))
+            yield TimerNote("at least", time_in_state, scalar(self, state.at_least), has_passed(self, machine, state.at_least))
 
-    def chosen(self, key: str, draw: Node, weights: list[tuple[int, Node]]) -> None:
+    def note_choice(self, key: str, draw: Node, weights: list[tuple[int, Node]]) -> None:
         self.notes.choices[key] = ChoiceNote(key, draw, tuple(weights))
 
-    def layered(self, layer: model.Layer, left: Node, looked: Node, holds: Node, push: values.Vec) -> None:
+    def note_layer(self, layer: model.Layer, left: Node, looked: Node, holds: Node, push: values.Vec) -> None:
         statement_count = len(self.statements)
-        condition = None if layer.condition is None else self._part(layer.condition, _units(layer.condition.span))
+        condition = None if layer.condition is None else self._part_note(layer.condition, _written_units(layer.condition.span))
         if len(self.statements) != statement_count:
             raise PlanError(f"a note wrote a statement: {layer.text!r}")
         self.notes.layers.append(LayerNote(layer, left, looked, condition, holds, (push.x, push.y, push.z)))
 
-    def steered(self, s: model.Steer | model.Face | model.Layer, site: str, push: values.Vec, holds: Node | None = None) -> None:
-        self.notes.steers.append(SteerNote(site, _line(s.span.text), (push.x, push.y, push.z), holds))
+    def note_steering(
+        self, s: model.Steer | model.Face | model.Layer, site: str, push: values.Vec, holds: Node | None = None
+    ) -> None:
+        self.notes.steers.append(SteerNote(site, _single_line(s.span.text), (push.x, push.y, push.z), holds))
 
-    def rested(self, rest: model.Rest, push: values.Vec) -> None:
+    def note_rest(self, rest: model.Rest, push: values.Vec) -> None:
         self.notes.steers.append(SteerNote(resting_site(self.species.name), RESTS, (push.x, push.y, push.z)))
 
     # --- parts -------------------------------------------------------------------------------------------------------
 
-    def _part(self, e: model.Expr, units: list[str], depth: int = 0) -> PartNote | None:
+    def _part_note(self, e: model.Expr, units: list[str], depth: int = 0) -> PartNote | None:
         """Return an expression with the parts that decide it; None for expressions without a value (a species, a field)."""
         value = lower(self, e)
-        text, type = _line(e.span.text), e.type
+        text, type = _single_line(e.span.text), e.type
         parts: tuple[PartNote, ...] = ()
-        if isinstance(value, values.Named | values.Own | values.Element):
+        if isinstance(value, values.NamedThing | values.OwnPlace | values.Element):
             return None
         if isinstance(value, values.Vec):
-            return PartNote(text, type, _unit(e, units, self.program), tuple(value))
-        if isinstance(value, values.Ref):
+            return PartNote(text, type, _display_unit(e, units, self.program), tuple(value))
+        if isinstance(value, values.EntityRef):
             return PartNote(text, model.Type(value.what, of=value.of), "", (value.node,))
         if isinstance(value, values.Hit):
             nearness = PartNote("distance", model.Type(model.Kind.NUMBER, model.Dim(length=1)), "mm", (value.distance,))
             return PartNote(text, _BOOL, "", (value.hit,), (nearness,))
         if not isinstance(value, Node):
-            return PartNote(text, _BOOL, "", (present(self, value, e),))
+            return PartNote(text, _BOOL, "", (presence(self, value, e),))
         if depth < _MAX_DEPTH:
-            parts = tuple(self._inner(e, value, units, depth + 1))
+            parts = tuple(self._inner_notes(e, value, units, depth + 1))
         joined = isinstance(e, model.Op) and e.name in _JOINED and bool(parts)
-        return PartNote(text, type, _unit(e, units, self.program), (value,), parts, "joined" if joined else "")
+        return PartNote(text, type, _display_unit(e, units, self.program), (value,), parts, "joined" if joined else "")
 
-    def _inner(self, e: model.Expr, node: Node, units: list[str], depth: int) -> Iterator[PartNote]:
+    def _inner_notes(self, e: model.Expr, node: Node, units: list[str], depth: int) -> Iterator[PartNote]:
         if isinstance(e, model.Op) and e.name == "chance" and node.op == "lt":
             yield PartNote("draw", _NUMBER, "", node.args[:1], role="draw")
             yield PartNote("bar", _NUMBER, "", node.args[1:], role="bar")
         named: set[str] = set()
         for inner, written in _inner_parts(e, units):
             outer = self.snapshot
-            self.snapshot = outer or (isinstance(e, model.Local) and e.binding.snapshot and not self.born)
+            self.snapshot = outer or (isinstance(e, model.BindingRef) and e.binding.snapshot and not self.born)
             try:
-                part = self._part(inner, written, depth)
+                part = self._part_note(inner, written, depth)
             finally:
                 self.snapshot = outer
             if part is not None and part.text not in named:
@@ -202,31 +204,31 @@ class NotingWriter(Writer):
 def _inner_parts(e: model.Expr, units: list[str]) -> Iterator[tuple[model.Expr, list[str]]]:
     """Yield the parts of an expression that are worth showing: sides of a comparison, names in a sum, the values of `let`s. Each
     comes with its units."""
-    if isinstance(e, model.Local) and e.binding.role == "let" and e.binding.value is not None:
+    if isinstance(e, model.BindingRef) and e.binding.role == "let" and e.binding.value is not None:
         if isinstance(e.binding.value, model.Op):
-            yield from _inner_parts(e.binding.value, _units(e.binding.value.span))
+            yield from _inner_parts(e.binding.value, _written_units(e.binding.value.span))
         return
     if not isinstance(e, model.Op):
         return
     for arg in e.args:
         if arg is None or arg.rate is model.Rate.ELEMENT or isinstance(arg, model.Const | model.StateConst | model.NoneRef):
             continue
-        if e.name in _JOINED or isinstance(arg, model.Local | model.Attribute | model.ParamRef | model.Reduce):
+        if e.name in _JOINED or isinstance(arg, model.BindingRef | model.Attribute | model.ParamRef | model.Reduce):
             yield arg, units
         else:
             yield from _inner_parts(arg, units)
 
 
-def _line(text: str) -> str:
+def _single_line(text: str) -> str:
     return " ".join(text.split())
 
 
-def _units(span: Span) -> list[str]:
+def _written_units(span: Span) -> list[str]:
     """The units that stand behind numbers in a stretch of text."""
     return _WITH_UNIT.findall(span.text)
 
 
-def _unit(e: model.Expr, units: list[str], program: model.Program) -> str:
+def _display_unit(e: model.Expr, units: list[str], program: model.Program) -> str:
     """Return a unit for a number: that of the param itself, the first unit of its dimension in the text, or a default."""
     if e.type.kind not in (model.Kind.NUMBER, model.Kind.VECTOR):
         return ""
@@ -236,4 +238,4 @@ def _unit(e: model.Expr, units: list[str], program: model.Program) -> str:
         known = measure(unit) if unit else None
         if known is not None and known.dim == e.type.dim:
             return unit
-    return unit_of(e.type.dim)
+    return default_unit(e.type.dim)

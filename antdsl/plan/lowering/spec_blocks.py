@@ -17,9 +17,9 @@ from antdsl.plan.lowering.actions import complain
 from antdsl.plan.lowering.expressions import lower, scalar, truth
 from antdsl.plan.lowering.lower import MAX_RECURSION
 from antdsl.plan.lowering.rules import RULES
-from antdsl.plan.lowering.values import Own, Ref, Value, Vec, length
-from antdsl.plan.lowering.writer import NotYet, Writer
-from antdsl.plan.traverse import lazy, needed
+from antdsl.plan.lowering.values import EntityRef, OwnPlace, Value, Vec, length
+from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
+from antdsl.plan.traverse import find_shared_senses, required_nodes
 from antdsl.program import expectations, model
 from antdsl.source import Span
 
@@ -29,7 +29,7 @@ _KINDS = {model.Kind.SPECIES: "species", model.Kind.ITEMS: "items", model.Kind.F
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WholePlan:
+class AggregatePlan:
     """A number about all agents of a species, items of a name, cells of a field or a solid, passed to the nodes `told NAME`.
 
     `where` and `body` are registers that `decide` has filled; `amount` is an item's attribute that is taken as it is stored."""
@@ -55,7 +55,7 @@ class StartPlan:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OtherPlan:
+class OtherRunPlan:
     """A number of the whole in the run that is compared with, passed as `name`: in that run it is the node's value."""
 
     name: str
@@ -98,17 +98,17 @@ class SpecPlan:
     spec: expectations.Spec
     plan: ir.Plan
     duration: Node | None
-    wholes: tuple[WholePlan, ...]
+    wholes: tuple[AggregatePlan, ...]
     starts: tuple[StartPlan, ...]
     judgements: tuple[JudgementPlan, ...]
-    others: tuple[OtherPlan, ...] = ()
+    others: tuple[OtherRunPlan, ...] = ()
     bodily: Mapping[str, frozenset[str]] = field(default_factory=dict)
 
 
 class _Writer(Writer):
     """A writer that knows what only a spec can ask."""
 
-    def __init__(self, work: _Work, species: model.Species, registers: dict[str, Register]) -> None:
+    def __init__(self, work: _SpecLowering, species: model.Species, registers: dict[str, Register]) -> None:
         super().__init__(work.b, work.program, species, work.report, RULES)
         self.work = work
         self.registers = dict(registers)
@@ -116,31 +116,31 @@ class _Writer(Writer):
 
     def _read(self, name: str, snapshot: bool) -> Node:
         if name not in self.registers:
-            raise NotYet("a sense of an item", self.b.span or self.species.span, _OF_ITEMS)
+            raise UnsupportedConstruct("a sense of an item", self.b.span or self.species.span, _OF_ITEMS)
         return super()._read(name, snapshot)
 
     def tell(self, e: model.Expr) -> Value:
         if isinstance(e, expectations.Aggregate):
             return self.work.lower_aggregate(e)
-        if isinstance(e, expectations.Measured):
+        if isinstance(e, expectations.MotionMeasure):
             return self.b("told", attrs=(f"motion.{e.name}",))
-        if isinstance(e, expectations.Other):
-            return self.work.other(e)
-        if isinstance(e, expectations.Bodily):
-            return self.bodily(e)
+        if isinstance(e, expectations.OtherRun):
+            return self.work.lower_other_run(e)
+        if isinstance(e, expectations.BodyMeasure):
+            return self.read_body_register(e)
         if isinstance(e, expectations.CellValue):
             return self.b("snap", attrs=("value",), kind=Kind.F32)
         assert isinstance(e, expectations.AtStart)
         return self.work.start(self, e)
 
-    def bodily(self, e: expectations.Bodily) -> Node:
+    def read_body_register(self, e: expectations.BodyMeasure) -> Node:
         """Return a register that is filled before the evaluation."""
         name = f"geometry.{e.name}"
         self.registers[name] = Register(name, Kind.F32, "attribute")
         self.work.bodily.setdefault(self.species.name, set()).add(e.name)
         return self.b("snap", attrs=(name,), kind=Kind.F32)
 
-    def result(self, block: str, name: str, node: Node, span: Span) -> str:
+    def store_result(self, block: str, name: str, node: Node, span: Span) -> str:
         """A register of the spec's own that a block fills."""
         self.registers[name] = Register(name, node.kind, "memory")
         self.blocks[block].append(Store(name, node, span, infinite=True))
@@ -148,46 +148,48 @@ class _Writer(Writer):
 
     def plan(self) -> SpeciesPlan:
         decide, act, blend = (Block(tuple(self.blocks[name])) for name in ("decide", "act", "blend"))
-        lazy_senses = lazy(decide, act, blend)
+        lazy_senses = find_shared_senses(decide, act, blend)
         return SpeciesPlan(self.species.name, self.registers, (), Block(()), decide, act, blend, (), (), lazy_senses)
 
 
-class _Work:
+class _SpecLowering:
     """The lowering of one spec."""
 
     def __init__(self, program: model.Program, plan: ir.Plan, report: Report) -> None:
         self.program, self.lowered, self.report = program, plan, report
         self.b = Builder()
-        self.wholes: list[WholePlan] = []
+        self.wholes: list[AggregatePlan] = []
         self.starts: list[StartPlan] = []
-        self.others: list[OtherPlan] = []
+        self.others: list[OtherRunPlan] = []
         self.bodily: dict[str, set[str]] = {}
         self.known: dict[model.Expr, Node] = {}
         self.writers: dict[str, _Writer] = {}
         empty_layers = model.Layers("budget", (), next(iter(program.species.values())).span)
         self._nobody = empty_layers
-        self.above = _Writer(self, self._named(""), {})
+        self.above = _Writer(self, self._find_species(""), {})
 
-    def _named(self, name: str) -> model.Species:
+    def _find_species(self, name: str) -> model.Species:
         return model.Species(name, "", (), (), (), (), (), (), self._nobody, self._nobody.span)
 
-    def of_agents(self, species: str, span: Span | None = None) -> _Writer:
+    def agent_writer(self, species: str, span: Span | None = None) -> _Writer:
         if species not in self.lowered.species:
             assert span is not None
-            raise NotYet(f"a spec on `{species}`, of which the scene has none,", span, f"add `{species}` to the scene's `crowd`")
+            raise UnsupportedConstruct(
+                f"a spec on `{species}`, of which the scene has none,", span, f"add `{species}` to the scene's `crowd`"
+            )
         if species not in self.writers:
             self.writers[species] = _Writer(self, self.program.species[species], self.lowered.species[species].registers)
         return self.writers[species]
 
-    def of_items(self, items: str) -> _Writer:
+    def item_writer(self, items: str) -> _Writer:
         if items not in self.writers:
             names = ("position.x", "position.y", "position.z", "radius", *self.lowered.items[items].attributes)
-            self.writers[items] = _Writer(self, self._named(items), {n: Register(n, Kind.F32, "attribute") for n in names})
+            self.writers[items] = _Writer(self, self._find_species(items), {n: Register(n, Kind.F32, "attribute") for n in names})
         return self.writers[items]
 
-    def of_cells(self, field: str) -> _Writer:
+    def cell_writer(self, field: str) -> _Writer:
         if field not in self.writers:
-            self.writers[field] = _Writer(self, self._named(field), {"value": Register("value", Kind.F32, "attribute")})
+            self.writers[field] = _Writer(self, self._find_species(field), {"value": Register("value", Kind.F32, "attribute")})
         return self.writers[field]
 
     # --- wholes and starts -------------------------------------------------------------------------------------------
@@ -203,78 +205,86 @@ class _Work:
         kind = _KINDS[e.over.kind]
         where = body = amount = None
         if kind in ("species", "items") or e.body is not None:
-            w = self.of_cells(of) if kind == "field" else self.of_items(of) if kind == "items" else self.of_agents(of, e.span)
+            w = (
+                self.cell_writer(of)
+                if kind == "field"
+                else self.item_writer(of)
+                if kind == "items"
+                else self.agent_writer(of, e.span)
+            )
             for element in e.elements:
-                w.environment[element] = Own()
+                w.environment[element] = OwnPlace()
             if e.where is not None:
-                where = w.result("decide", f"{name}.where", self._sound(w, truth(w, e.where), e.where), e.where.span)
+                where = w.store_result("decide", f"{name}.where", self._check_pure(w, truth(w, e.where), e.where), e.where.span)
             if e.body is not None:
                 node = truth(w, e.body) if e.how in _TRUTHS else scalar(w, e.body)
-                body = w.result("decide", f"{name}.body", self._sound(w, node, e.body), e.body.span)
+                body = w.store_result("decide", f"{name}.body", self._check_pure(w, node, e.body), e.body.span)
                 if kind == "items" and node.op == "snap" and node.attrs[0] in self.lowered.items[of].attributes:
                     amount = node.attrs[0]
-        self.wholes.append(WholePlan(name, e.how, kind, of, where, body, amount))
+        self.wholes.append(AggregatePlan(name, e.how, kind, of, where, body, amount))
         result = self.b("told", attrs=(name,))
         return self.b("ne", result, self.b.number(0)) if e.type.kind is model.Kind.BOOL else result
 
     def start(self, w: _Writer, e: expectations.AtStart) -> Node:
         """Return the value at the start, of the whole or stored for each agent."""
         if e not in self.known:
-            self.known[e] = self._start(w, e)
+            self.known[e] = self._lower_new_at_start(w, e)
         return self.known[e]
 
-    def _start(self, w: _Writer, e: expectations.AtStart) -> Node:
+    def _lower_new_at_start(self, w: _Writer, e: expectations.AtStart) -> Node:
         node = scalar(w, e.value)
         name = f"start#{len(self.starts) + 1}"
         if node.rate <= Rate.STEP:
             self.starts.append(StartPlan(name, value=node))
             return self.b("told", attrs=(name,))
-        source_register = w.result("decide", f"{name}.asked", self._sound(w, node, e), e.span)
+        source_register = w.store_result("decide", f"{name}.asked", self._check_pure(w, node, e), e.span)
         w.registers[name] = Register(name, Kind.F32, "attribute")
         self.starts.append(StartPlan(name, species=w.species.name, source_register=source_register))
         return self.b("snap", attrs=(name,), kind=Kind.F32)
 
-    def other(self, e: expectations.Other) -> Node:
+    def lower_other_run(self, e: expectations.OtherRun) -> Node:
         """Return the value in the other run."""
         if e not in self.known:
-            self.others.append(OtherPlan(f"other#{len(self.others) + 1}", scalar(self.above, e.value)))
+            self.others.append(OtherRunPlan(f"other#{len(self.others) + 1}", scalar(self.above, e.value)))
             self.known[e] = self.b("told", attrs=(self.others[-1].name,))
         return self.known[e]
 
-    def _sound(self, w: _Writer, node: Node, e: model.Expr) -> Node:
+    def _check_pure(self, w: _Writer, node: Node, e: model.Expr) -> Node:
         """Return the node, if evaluating it changes nothing and items have all that it reads."""
         if w.statements:
             w.statements.clear()
-            raise NotYet("something that remembers, in a spec,", e.span, "ask for what it does: an attribute, a state, a speed")
+            raise UnsupportedConstruct(
+                "something that remembers, in a spec,", e.span, "ask for what it does: an attribute, a state, a speed"
+            )
         name = w.species.name
-        if name in (*self.lowered.items, *self.program.fields) and any(_of_an_agent(n) for n in needed([node])):
+        if name in (*self.lowered.items, *self.program.fields) and any(_is_agent_only(n) for n in required_nodes([node])):
             if name in self.lowered.items:
-                raise NotYet("a sense of an item", e.span, _OF_ITEMS)
-            raise NotYet("a sense of a cell", e.span, "a cell of a field has a `value` and nothing else")
+                raise UnsupportedConstruct("a sense of an item", e.span, _OF_ITEMS)
+            raise UnsupportedConstruct("a sense of a cell", e.span, "a cell of a field has a `value` and nothing else")
         return node
 
     # --- lines -------------------------------------------------------------------------------------------------------
 
-    def judgement(self, e: expectations.Expectation, number: int) -> JudgementPlan | None:
+    def lower_expectation(self, e: expectations.Expectation, number: int) -> JudgementPlan | None:
         try:
-            w = self.above if e.species is None else self.of_agents(e.species, e.span)
-            node = self._sound(w, truth(w, e.condition), e.condition)
-            condition = node if e.species is None else w.result("act", f"line#{number}", node, e.span)
+            w = self.above if e.species is None else self.agent_writer(e.species, e.span)
+            node = self._check_pure(w, truth(w, e.condition), e.condition)
+            condition = node if e.species is None else w.store_result("act", f"line#{number}", node, e.span)
             time, held = (None if each is None else scalar(self.above, each) for each in (e.time, e.held))
             since: Node | str | None = None
             if e.since is not None:
-                since_node = self._sound(w, truth(w, e.since), e.since)
-                since = since_node if e.species is None else w.result("act", f"line#{number}.since", since_node, e.span)
-            readings = [self._reading(w, r, f"line#{number}.{k}") for k, r in enumerate(e.readings)]
-        except NotYet as missing:
+                since_node = self._check_pure(w, truth(w, e.since), e.since)
+                since = since_node if e.species is None else w.store_result("act", f"line#{number}.since", since_node, e.span)
+            readings = [self._lower_reading(w, r, f"line#{number}.{k}") for k, r in enumerate(e.readings)]
+        except UnsupportedConstruct as missing:
             complain(w, missing)
             return None
         return JudgementPlan(e.kind, e.block, e.species, condition, time, tuple(readings), e.at_end, e.span, held, since)
 
-    def _reading(self, w: _Writer, reading: expectations.Reading, name: str) -> ReadingPlan:
+    def _lower_reading(self, w: _Writer, reading: expectations.Reading, name: str) -> ReadingPlan:
         e, value = reading.expr, lower(w, reading.expr)
         type = e.type
-        if isinstance(value, Ref):
+        if isinstance(value, EntityRef):
             value = value.node
         elif isinstance(value, Vec):
             value, type = length(w.b, value), model.Type(model.Kind.NUMBER, type.dim)
@@ -282,10 +292,10 @@ class _Work:
             value, type = truth(w, e), model.Type(model.Kind.BOOL)
         if value.rate <= Rate.STEP:
             return ReadingPlan(e.span, type, reading.unit, node=value)
-        return ReadingPlan(e.span, type, reading.unit, register=w.result("blend", name, value, e.span))
+        return ReadingPlan(e.span, type, reading.unit, register=w.store_result("blend", name, value, e.span))
 
 
-def _of_an_agent(node: Node) -> bool:
+def _is_agent_only(node: Node) -> bool:
     """Return whether only an agent has such a value, for example a sense or its age; items only have registers."""
     return node.op != "snap" and (OPS[node.op].rate is Rate.AGENT or node.kind is Kind.SET)
 
@@ -297,14 +307,14 @@ def lower_spec(spec: expectations.Spec, program: model.Program, plan: ir.Plan) -
     previous_limit = sys.getrecursionlimit()
     sys.setrecursionlimit(max(previous_limit, MAX_RECURSION))
     try:
-        work = _Work(program, plan, report)
+        work = _SpecLowering(program, plan, report)
         duration = None if spec.duration is None else scalar(work.above, spec.duration)
-        judgements = [work.judgement(e, n) for n, e in enumerate(spec.expectations, 1)]
+        judgements = [work.lower_expectation(e, n) for n, e in enumerate(spec.expectations, 1)]
     finally:
         sys.setrecursionlimit(previous_limit)
     if not report.ok:
         return None, report
-    species = {name: work.of_agents(name).plan() for name in plan.species}
+    species = {name: work.agent_writer(name).plan() for name in plan.species}
     species |= {name: w.plan() for name, w in work.writers.items() if name not in species}
     judged = replace(plan, species=species, nodes=tuple(work.b.nodes))
     valid_judgements = tuple(j for j in judgements if j is not None)

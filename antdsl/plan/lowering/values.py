@@ -23,7 +23,7 @@ class Vec:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ref:
+class EntityRef:
     """An item (`what` ITEM, a row) or an agent (AGENT, an id), perhaps none; `of` names the items or the species."""
 
     what: Kind
@@ -50,7 +50,7 @@ class Hit:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Named:
+class NamedThing:
     """A thing of the world or a species, by name."""
 
     kind: Kind
@@ -58,7 +58,7 @@ class Named:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Own:
+class OwnPlace:
     """The agent itself, as a place."""
 
 
@@ -78,7 +78,7 @@ class Hits:
     hits: tuple[Hit, ...]
 
 
-Value = Node | Vec | Ref | Element | Hit | Named | Own | Group | Hits
+Value = Node | Vec | EntityRef | Element | Hit | NamedThing | OwnPlace | Group | Hits
 
 
 def zip_with(f: Callable[..., Node], *vectors: Vec) -> Vec:
@@ -121,7 +121,7 @@ def length(b: Builder, v: Vec) -> Node:
     return b("sqrt", dot(b, v, v))
 
 
-def along(b: Builder, v: Vec, size: Node) -> Vec:
+def divide(b: Builder, v: Vec, size: Node) -> Vec:
     """Return v / size, or zero where size is not usable as a divisor."""
     inverse = b("where", b("gt", size, b.number(TINY)), b("div", b.number(1), size), b.number(0))
     return scale(b, v, inverse)
@@ -129,7 +129,7 @@ def along(b: Builder, v: Vec, size: Node) -> Vec:
 
 def unit(b: Builder, v: Vec) -> Vec:
     """Return the vector scaled to length 1; a zero vector stays zero (decision 24)."""
-    return along(b, v, length(b, v))
+    return divide(b, v, length(b, v))
 
 
 def limit(b: Builder, v: Vec, most: Node) -> Vec:
@@ -143,7 +143,7 @@ def choose(b: Builder, condition: Node, then: Vec, other: Vec) -> Vec:
     return zip_with(lambda p, q: b("where", condition, p, q), then, other)
 
 
-def keep_if(b: Builder, condition: Node, v: Vec) -> Vec:
+def vector_if(b: Builder, condition: Node, v: Vec) -> Vec:
     """v where the condition holds, else nothing."""
     return choose(b, condition, v, zero(b))
 

@@ -14,7 +14,7 @@ from antdsl.plan.builder import Builder, PlanError
 from antdsl.plan.ir import Block, If, Kind, Node, Register, Statement, Store
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.values import Vec
-from antdsl.plan.traverse import needed
+from antdsl.plan.traverse import required_nodes
 from antdsl.program import model
 from antdsl.source import Span
 
@@ -27,7 +27,7 @@ KINDS = {
 NONE = {model.Kind.ITEM: -1, model.Kind.AGENT: -1}
 
 
-class NotYet(Exception):
+class UnsupportedConstruct(Exception):
     """A construct that passes the checks but cannot run yet. It becomes an error with a location."""
 
     def __init__(self, what: str, span: Span, help: str) -> None:
@@ -124,7 +124,7 @@ class Writer:
     def read_vector(self, name: str) -> Vec:
         return Vec(*(self.read(f"{name}.{axis}") for axis in AXES))
 
-    def wrote(self, name: str) -> None:
+    def mark_written(self, name: str) -> None:
         """Something else than a Store (a claim, a gift) changed the register."""
         self._written.add(name)
         self._stores[name] = self._stores.get(name, 0) + 1
@@ -146,19 +146,19 @@ class Writer:
 
     # Called as parts of the text are lowered; `NotingWriter` stores what explains a step.
 
-    def weighed(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:
+    def note_transition(self, machine: str, number: int, state: model.State, t: model.Transition, fires: Node) -> None:
         """A transition of a state, and whether it fires."""
 
-    def chosen(self, key: str, draw: Node, weights: list[tuple[int, Node]]) -> None:
+    def note_choice(self, key: str, draw: Node, weights: list[tuple[int, Node]]) -> None:
         """A transition's choice among states: its draw and the weight of each."""
 
-    def layered(self, layer: model.Layer, left: Node, looked: Node, holds: Node, push: Vec) -> None:
+    def note_layer(self, layer: model.Layer, left: Node, looked: Node, holds: Node, push: Vec) -> None:
         """A layer: the strength left for it, whether there is any, whether its condition holds, its push."""
 
-    def steered(self, s: model.Steer | model.Face | model.Layer, site: str, push: Vec, holds: Node | None = None) -> None:
+    def note_steering(self, s: model.Steer | model.Face | model.Layer, site: str, push: Vec, holds: Node | None = None) -> None:
         """A `steer` line, or a `face` line of a state or of the layers, and whether its condition holds there."""
 
-    def rested(self, rest: model.Rest, push: Vec) -> None:
+    def note_rest(self, rest: model.Rest, push: Vec) -> None:
         """Note the push that replaces the `steer` line of agents that have none."""
 
     # --- statements --------------------------------------------------------------------------------------------------
@@ -174,13 +174,13 @@ class Writer:
         if value is self.read(name):
             return
         self.add(Store(name, value, span, infinite))
-        self.wrote(name)
+        self.mark_written(name)
 
     def store_vector(self, name: str, value: Vec, span: Span | None) -> None:
         """Set three registers as one: a component that needs the old value of another must not see the new one."""
         names = [f"{name}.{axis}" for axis in AXES]
         parts = list(value)
-        if any(self._loads(part, set(names[:place])) for place, part in enumerate(parts)):
+        if any(self._has_load(part, set(names[:place])) for place, part in enumerate(parts)):
             for axis, part in zip(AXES, parts, strict=True):
                 self.declare(f"{HELD}.{axis}", Kind.F32, "temp")
                 self.store(f"{HELD}.{axis}", part, span)
@@ -189,21 +189,21 @@ class Writer:
             self.store(register, part, span)
 
     @staticmethod
-    def _loads(node: Node, names: set[str]) -> bool:
-        return any(n.op == "load" and n.attrs[0] in names for n in needed([node]))
+    def _has_load(node: Node, names: set[str]) -> bool:
+        return any(n.op == "load" and n.attrs[0] in names for n in required_nodes([node]))
 
     def store_value(self, name: str, value: values.Value, span: Span | None, infinite: bool = False) -> None:
         """Set the registers of a value of the language."""
         if isinstance(value, Vec):
             self.store_vector(name, value, span)
-        elif isinstance(value, values.Ref):
+        elif isinstance(value, values.EntityRef):
             self.store(name, value.node, span)
         elif isinstance(value, Node):
             self.store(name, value, span, infinite)
         else:
             raise PlanError(f"{name} cannot hold a {type(value).__name__}")
 
-    def remember(self, memory: model.Binding) -> None:
+    def advance_memory(self, memory: model.Binding) -> None:
         """Advance a memory on this way through the step, once, and note that a `let` met it."""
         self.met.append(memory)
         if memory in self._remembered:

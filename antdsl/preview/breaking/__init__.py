@@ -7,11 +7,11 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from antdsl.pipeline import Shot
-from antdsl.preview.breaking.conditions import ConditionWaits
-from antdsl.preview.breaking.failing import SpecWaits
-from antdsl.preview.breaking.faults import FaultWaits
-from antdsl.preview.breaking.model import Misfit, Waiting
-from antdsl.preview.breaking.states import StateWaits
+from antdsl.preview.breaking.conditions import ConditionWatcher
+from antdsl.preview.breaking.failing import SpecWatcher
+from antdsl.preview.breaking.faults import FaultWatcher
+from antdsl.preview.breaking.model import BreakpointError, BreakpointWatcher
+from antdsl.preview.breaking.states import StateWatcher
 from antdsl.preview.observing.observer import Stop
 from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.requests import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak
@@ -19,11 +19,11 @@ from antdsl.preview.session import Session
 from antdsl.runtime import World
 
 # Made for the program that a session has now; Misfit where it does not fit that.
-KINDS: Mapping[type, Callable[[Session, Any, Specs], Waiting]] = {
-    StateBreak: lambda session, ask, specs: StateWaits(session, ask),
-    ConditionBreak: lambda session, ask, specs: ConditionWaits(session, ask),
-    SpecBreak: SpecWaits,
-    FaultBreak: lambda session, ask, specs: FaultWaits(session, ask),
+KINDS: Mapping[type, Callable[[Session, Any, Specs], BreakpointWatcher]] = {
+    StateBreak: lambda session, ask, specs: StateWatcher(session, ask),
+    ConditionBreak: lambda session, ask, specs: ConditionWatcher(session, ask),
+    SpecBreak: SpecWatcher,
+    FaultBreak: lambda session, ask, specs: FaultWatcher(session, ask),
 }
 
 
@@ -32,11 +32,11 @@ class Breakpoint:
     """A breakpoint: the request, and what waits for it; None while it does not fit the program."""
 
     ask: Break
-    waits: Waiting | None = None
-    why: Misfit | None = None
+    waits: BreakpointWatcher | None = None
+    why: BreakpointError | None = None
 
 
-def words(ask: Break) -> str:
+def breakpoint_text(ask: Break) -> str:
     """A breakpoint in an artist's words."""
     match ask:
         case StateBreak():
@@ -66,31 +66,31 @@ class Breakpoints:
             asks = [*asks, tried]
         known = {each.ask: each for each in self.breaks}
         self.breaks = [known.get(ask) or Breakpoint(ask) for ask in asks]
-        self.specs.want([ask.spec for ask in asks if isinstance(ask, SpecBreak)])
-        self._fit(session)
+        self.specs.require([ask.spec for ask in asks if isinstance(ask, SpecBreak)])
+        self._make_watchers(session)
 
     def message(self) -> dict[str, Any]:
         reasons = [(each.ask.model_dump(), _reason_text(each.why)) for each in self.breaks]
         return {"op": "breaks", "breaks": [{"made": ask_fields, "why": why} for ask_fields, why in reasons]}
 
-    def entered(self, session: Session) -> None:
+    def on_new_world(self, session: Session) -> None:
         """Build them again for another program, so that misfits are reported at once."""
-        if self.breaks and session.shot is not self._shot and session.frame == session.head:
-            self._fit(session)
+        if self.breaks and session.shot is not self._shot and session.frame == session.last_frame:
+            self._make_watchers(session)
 
-    def stepping(self, session: Session) -> None:
+    def before_step(self, session: Session) -> None:
         if self.breaks and not self._is_seen(session):
             if session.shot is not self._shot:
-                self._fit(session)
+                self._make_watchers(session)
             for each in self.breaks:
                 if each.waits is not None:
                     each.waits.begin(session)
             self._seen = session.world, session.frame
 
-    def stepped(self, session: Session) -> Stop | None:
+    def after_step(self, session: Session) -> Stop | None:
         if not self.breaks or self._seen is None or session.world is not self._seen[0]:
             return None  # none waits, or the step led into another program: that is looked at before the next
-        looked = [each.waits.look(session) for each in self.breaks if each.waits is not None]
+        looked = [each.waits.check_frame(session) for each in self.breaks if each.waits is not None]
         self._seen = session.world, session.frame
         stops = [stop for stop in looked if stop is not None]
         if not stops:
@@ -101,18 +101,20 @@ class Breakpoints:
     def _is_seen(self, session: Session) -> bool:
         return self._seen is not None and self._seen[0] is session.world and self._seen[1] == session.frame
 
-    def _fit(self, session: Session) -> None:
+    def _make_watchers(self, session: Session) -> None:
         self._shot, self._seen = session.shot, None
         for each in self.breaks:
             try:
                 each.waits, each.why = KINDS[type(each.ask)](session, each.ask, self.specs), None
-            except Misfit as why:
+            except BreakpointError as why:
                 old_reason, each.waits, each.why = _reason_text(each.why), None, why
                 if old_reason == _reason_text(why):
                     continue
-                self.tell({"op": "refused", "of": "breaks", "message": f"{words(each.ask)}: {why.message}", "help": why.help})
+                self.tell(
+                    {"op": "refused", "of": "breaks", "message": f"{breakpoint_text(each.ask)}: {why.message}", "help": why.help}
+                )
         self.tell(self.message())
 
 
-def _reason_text(why: Misfit | None) -> str:
+def _reason_text(why: BreakpointError | None) -> str:
     return "" if why is None else f"{why.message}: {why.help}" if why.help else why.message

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
-from antdsl.preview.breaking.model import Misfit
-from antdsl.preview.breaking.states import MOST, named
+from antdsl.preview.breaking.model import BreakpointError
+from antdsl.preview.breaking.states import MOST, agents_text
 from antdsl.preview.observing.observer import Stop
 from antdsl.preview.requests import ConditionBreak
 from antdsl.preview.session import Session
@@ -26,7 +26,7 @@ _NAME = "<breakpoint>"
 _ALONE = "write one condition, such as `count(state == carry) > 10`"
 
 
-class ConditionWaits:
+class ConditionWatcher:
     """Hit in a frame in which the condition holds and did not in the frame before; evaluated for each agent, hit by those."""
 
     def __init__(self, session: Session, ask: ConditionBreak) -> None:
@@ -38,23 +38,25 @@ class ConditionWaits:
 
     def begin(self, session: Session) -> None:
         self.asker = Questioner(self.plan, session.world)
-        self.held = self._holds(self.asker, session.world)
+        self.held = self._matching_ids(self.asker, session.world)
 
-    def look(self, session: Session) -> Stop | None:
+    def check_frame(self, session: Session) -> Stop | None:
         if self.asker is None:
             self.begin(session)
             return None
-        previous, self.held = self.held, self._holds(self.asker, session.world)
+        previous, self.held = self.held, self._matching_ids(self.asker, session.world)
         new = np.setdiff1d(self.held, previous)
         if not len(new):
             return None
         if self.line.species is None:
-            return Stop(f"{self.text}: true at frame {session.frame}{self._values(self.asker, session.world)}")
+            return Stop(f"{self.text}: true at frame {session.frame}{self._values_text(self.asker, session.world)}")
         ids = tuple(int(each) for each in new)
         text = self.text.partition(":")[2].strip()
-        return Stop(f"{named(self.line.species, ids[:MOST])}: {text} at frame {session.frame}", self.line.species, ids[:MOST])
+        return Stop(
+            f"{agents_text(self.line.species, ids[:MOST])}: {text} at frame {session.frame}", self.line.species, ids[:MOST]
+        )
 
-    def _holds(self, evaluator: Questioner, world: World) -> NDArray[np.int64]:
+    def _matching_ids(self, evaluator: Questioner, world: World) -> NDArray[np.int64]:
         judged_world = evaluator.ask(world, {})
         if self.line.species is None:
             assert not isinstance(self.line.condition, str)
@@ -63,7 +65,7 @@ class ConditionWaits:
         assert isinstance(self.line.condition, str)
         return judged.ids[judged.now[self.line.condition].astype(np.bool_)]
 
-    def _values(self, evaluator: Questioner, world: World) -> str:
+    def _values_text(self, evaluator: Questioner, world: World) -> str:
         readings = []
         for reading in self.line.readings:
             if reading.node is not None:
@@ -77,24 +79,24 @@ def condition_plan(shot: Shot, text: str) -> SpecPlan:
     text."""
     from antdsl.program import check
 
-    file, report = parse(Source(_NAME, _as_spec(text)))
-    _demand(report)
+    file, report = parse(Source(_NAME, _spec_text(text)))
+    _raise_first_error(report)
     if not _is_one_line(file):
-        raise Misfit(f"`{' '.join(text.split())[:80]}` is not one condition", _ALONE)
+        raise BreakpointError(f"`{' '.join(text.split())[:80]}` is not one condition", _ALONE)
     loaded = shot.loaded
-    program, report = check([*loaded.files, file], loaded.library, loaded.modules)
+    program, report = check([*loaded.files, file], loaded.find_library, loaded.modules)
     words = (
         f"write `each {next(iter(shot.plan.species))}: {' '.join(text.split())}` to ask every agent, or ask for a `count` of all"
     )
-    _demand(report, "" if _EACH.fullmatch(text) else words)
+    _raise_first_error(report, "" if _EACH.fullmatch(text) else words)
     plan, report = lower_spec(program.specs[-1], program, shot.plan)
-    _demand(report)
+    _raise_first_error(report)
     if plan is None or len(plan.judgements) != 1:
-        raise Misfit(f"`{' '.join(text.split())[:80]}` is not one condition", _ALONE)
+        raise BreakpointError(f"`{' '.join(text.split())[:80]}` is not one condition", _ALONE)
     return plan
 
 
-def _as_spec(text: str) -> str:
+def _spec_text(text: str) -> str:
     each = _EACH.fullmatch(text)
     if each is None:
         return f'spec "breakpoint" {{\n  never: {text}\n}}\n'
@@ -111,7 +113,7 @@ def _is_one_line(file: nodes.File) -> bool:
     return len(lines) == 1 and lines[0].kind == "never" and lines[0].held is None
 
 
-def _demand(report: Report, suggestion: str = "") -> None:
+def _raise_first_error(report: Report, suggestion: str = "") -> None:
     """Raise Misfit with the first error about the text. The program itself has none, and a file of nothing but a spec is no
     mistake here. `suggestion`: what to write instead of a condition on the whole that only applies to an agent."""
     for error in report.sorted():
@@ -119,4 +121,4 @@ def _demand(report: Report, suggestion: str = "") -> None:
             help = (error.help or "").replace("never: ", "")
             if suggestion and error.code in ("wrong-rate", "unknown-name") and not help.startswith("did you mean"):
                 help = suggestion
-            raise Misfit(error.message, help)
+            raise BreakpointError(error.message, help)

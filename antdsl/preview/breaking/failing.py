@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.preview.breaking.model import Misfit
+from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.observing.observer import Stop
 from antdsl.preview.observing.spec_judgement import CURVE, Specs
 from antdsl.preview.requests import SpecBreak
 from antdsl.preview.session import Session
 
 
-class SpecWaits:
+class SpecWatcher:
     def __init__(self, session: Session, ask: SpecBreak, specs: Specs) -> None:
-        known = dict(specs.known(session.shot, session.compiler.scene))
+        known = dict(specs.plans_by_name(session.shot, session.compiler.scene))
         if ask.spec not in known:
             near = nearest_name(ask.spec, known)
             help = f"did you mean `{near}`?" if near else ", ".join(f"`{each}`" for each in known) or "the program has no spec"
-            raise Misfit(f"there is no spec `{ask.spec}`", help)
+            raise BreakpointError(f"there is no spec `{ask.spec}`", help)
         plan = known[ask.spec]
         if isinstance(plan, str):
-            raise Misfit(f"`{ask.spec}` is not judged here: {plan}", f'`antdsl test` judges it: `--spec "{ask.spec}"`')
+            raise BreakpointError(f"`{ask.spec}` is not judged here: {plan}", f'`antdsl test` judges it: `--spec "{ask.spec}"`')
         self.ask, self.specs = ask, specs
 
     def begin(self, session: Session) -> None:
         """The curve says how it was."""
 
-    def look(self, session: Session) -> Stop | None:
+    def check_frame(self, session: Session) -> Stop | None:
         frame, curves, key = session.frame, session.timeline.curves, CURVE + self.ask.spec
         if curves.get(frame, {}).get(key) != 0.0 or curves.get(frame - 1, {}).get(key) == 0.0:
             return None

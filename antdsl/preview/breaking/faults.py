@@ -7,7 +7,7 @@ from antdsl.preview.requests import FaultBreak
 from antdsl.preview.session import Session
 
 
-class FaultWaits:
+class FaultWatcher:
     """Stops even for faults that would otherwise only quarantine agents."""
 
     def __init__(self, session: Session, ask: FaultBreak) -> None:
@@ -16,6 +16,6 @@ class FaultWaits:
     def begin(self, session: Session) -> None:
         """Each step has its own faults."""
 
-    def look(self, session: Session) -> Stop | None:
+    def check_frame(self, session: Session) -> Stop | None:
         fault = session.world.faults.latest
         return None if fault is None else Stop(fault.brief, fault.species, (fault.agent,))

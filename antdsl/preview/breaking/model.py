@@ -8,7 +8,7 @@ from antdsl.preview.observing.observer import Stop
 from antdsl.preview.session import Session
 
 
-class Misfit(Exception):
+class BreakpointError(Exception):
     """The reason why a breakpoint cannot be hit in this program, and what to write instead."""
 
     def __init__(self, message: str, help: str = "") -> None:
@@ -16,12 +16,12 @@ class Misfit(Exception):
         self.message, self.help = message, help
 
 
-class Waiting(Protocol):
+class BreakpointWatcher(Protocol):
     """A breakpoint that waits, made for one program. Looking changes nothing."""
 
     def begin(self, session: Session) -> None:
         """Record the condition at this frame. What holds already is no hit; only a change to it is."""
 
-    def look(self, session: Session) -> Stop | None:
+    def check_frame(self, session: Session) -> Stop | None:
         """Return why to stop at this frame, or None. Frames arrive in order: each is the next after the last one seen or looked
         at."""

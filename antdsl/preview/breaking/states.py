@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.preview.breaking.model import Misfit
+from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.observing.observer import Stop
 from antdsl.preview.requests import StateBreak
 from antdsl.preview.session import Session
@@ -15,18 +15,18 @@ _NAMED = 3  # agents that are named in words
 MOST = 500  # agents that a page selects
 
 
-class StateWaits:
+class StateWatcher:
     """Neither birth in the state nor a change from the state to itself counts as entering."""
 
     def __init__(self, session: Session, ask: StateBreak) -> None:
         plan = session.shot.plan.species.get(ask.species)
         if plan is None:
-            raise _unknown("species", ask.species, list(session.shot.plan.species))
+            raise _unknown_name_error("species", ask.species, list(session.shot.plan.species))
         machine = next((each for each in plan.machines if each.name == ask.machine), None)
         if machine is None:
-            raise _unknown(f"machine of `{ask.species}`", ask.machine, [each.name for each in plan.machines])
+            raise _unknown_name_error(f"machine of `{ask.species}`", ask.machine, [each.name for each in plan.machines])
         if ask.state not in machine.states:
-            raise _unknown(f"state of `{ask.species}`", ask.state, list(machine.states))
+            raise _unknown_name_error(f"state of `{ask.species}`", ask.state, list(machine.states))
         self.ask, self.state = ask, machine.states.index(ask.state)
         self.others: NDArray[np.int64] = np.zeros(0, np.int64)  # ids of those in another state
 
@@ -34,7 +34,7 @@ class StateWaits:
         population = session.world.populations[self.ask.species]
         self.others = population.ids[population.now[f"{self.ask.machine}.state"] != self.state]
 
-    def look(self, session: Session) -> Stop | None:
+    def check_frame(self, session: Session) -> Stop | None:
         population = session.world.populations[self.ask.species]
         ids_in_state = population.ids[population.now[f"{self.ask.machine}.state"] == self.state]
         entered = np.intersect1d(ids_in_state, self.others)
@@ -42,17 +42,17 @@ class StateWaits:
         if not len(entered):
             return None
         ids = tuple(int(each) for each in entered)
-        line = f"{named(self.ask.species, ids)} entered {self.ask.state} at frame {session.frame}"
+        line = f"{agents_text(self.ask.species, ids)} entered {self.ask.state} at frame {session.frame}"
         return Stop(line, self.ask.species, ids[:MOST])
 
 
-def named(species: str, ids: tuple[int, ...]) -> str:
+def agents_text(species: str, ids: tuple[int, ...]) -> str:
     """Return a text for agents of a species, with the ids of the first few."""
     words = f"{species} {', '.join(map(str, ids[:_NAMED]))}"
     return f"{words} and {len(ids) - _NAMED} more" if len(ids) > _NAMED else words
 
 
-def _unknown(what: str, name: str, known: list[str]) -> Misfit:
+def _unknown_name_error(what: str, name: str, known: list[str]) -> BreakpointError:
     near = nearest_name(name, known)
     listed = ", ".join(f"`{each}`" for each in known) or "none"
-    return Misfit(f"there is no {what} `{name}`", f"did you mean `{near}`?" if near else f"there is {listed}")
+    return BreakpointError(f"there is no {what} `{name}`", f"did you mean `{near}`?" if near else f"there is {listed}")

@@ -21,11 +21,11 @@ HANDLERS: Mapping[type[Any], Callable[[Live, Any, Client], None]] = {
     requests.Restart: time.restart,
     requests.Set: edits.set_value,
     requests.Layer: edits.layer,
-    requests.Field_: edits.field,
+    requests.Field_: edits.switch_field,
     requests.Reload: edits.reload,
-    requests.Look: queries.look,
+    requests.Look: queries.set_look,
     requests.Explain: queries.explain,
-    requests.Breaks: queries.breaks,
+    requests.Breaks: queries.set_breakpoints,
     requests.Profile: queries.profile,
 }
 WITHOUT_SESSION = frozenset([requests.Look, requests.Reload, requests.Speed])  # possible while the scene has errors

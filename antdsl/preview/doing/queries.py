@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 from antdsl.preview import requests
 from antdsl.preview.breaking import Breakpoints
-from antdsl.preview.breaking.model import Misfit
+from antdsl.preview.breaking.model import BreakpointError
 from antdsl.preview.observing.explainer import Explainer
-from antdsl.preview.observing.meter import Costs
+from antdsl.preview.observing.meter import CostReporter
 from antdsl.preview.requests import Refusal
 
 if TYPE_CHECKING:
@@ -21,17 +21,17 @@ def explain(live: Live, ask: requests.Explain, client: Client) -> None:
     client.tell(live.explainer.message(ask.species, ask.agent, ask.frame, live.screen.names.of))
 
 
-def breaks(live: Live, ask: requests.Breaks, client: Client) -> None:
+def set_breakpoints(live: Live, ask: requests.Breaks, client: Client) -> None:
     try:
         live.observer(Breakpoints).set(live.session, ask.breaks, ask.tried)
-    except Misfit as why:
+    except BreakpointError as why:
         raise Refusal(why.message, why.help) from None
 
 
-def look(live: Live, ask: requests.Look, client: Client) -> None:
+def set_look(live: Live, ask: requests.Look, client: Client) -> None:
     live.clients[client] = ask
-    live.screen.looked()
+    live.screen.on_look()
 
 
 def profile(live: Live, ask: requests.Profile, client: Client) -> None:
-    live.observer(Costs).switch(client, ask.on)
+    live.observer(CostReporter).switch(client, ask.on)

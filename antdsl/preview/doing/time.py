@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 def play(live: Live, ask: requests.Play, client: Client) -> None:
-    live.be_exact()
+    live.show_exact_frame()
     live.play()
 
 
@@ -23,29 +23,29 @@ def pause(live: Live, ask: requests.Pause, client: Client) -> None:
 def step(live: Live, ask: requests.Step, client: Client) -> None:
     """So many steps, fewer when something stops it."""
     live.pause()
-    live.be_exact()
-    live.step_on(ask.count)
+    live.show_exact_frame()
+    live.start_steps(ask.count)
 
 
 def speed(live: Live, ask: requests.Speed, client: Client) -> None:
-    live.pace(ask.times)
+    live.set_pace(ask.times)
 
 
 def seek(live: Live, ask: requests.Seek, client: Client) -> None:
     """Go to a frame, or show the nearest stored one."""
     live.pause()
     session = live.session
-    frame = min(max(ask.frame, session.first), session.head)
+    frame = min(max(ask.frame, session.first), session.last_frame)
     if ask.exact:
         live.go_to(frame)
     else:
-        live.show_light(frame)
+        live.show_stored_frame(frame)
 
 
 def restart(live: Live, ask: requests.Restart, client: Client) -> None:
     live.pause()
-    live.show_light(live.session.frame)
+    live.show_stored_frame(live.session.frame)
     result = live.session.restart()
-    live.took(result.report)
+    live.on_files_read(result.report)
     live.tell_all(outcome(live, "restart", result))
     live.screen.edited(files=True)

@@ -10,7 +10,16 @@ from typing import Any
 import numpy as np
 
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.explain import ExplainError, LocatedExplanation, Replay, absent, as_json, locate_explanations, stretches, tell
+from antdsl.explain import (
+    ExplainError,
+    LocatedExplanation,
+    Replay,
+    absence_error,
+    as_json,
+    locate_explanations,
+    state_stretches,
+    tell,
+)
 from antdsl.explain.model import Stretch as StateStretch
 from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
@@ -45,13 +54,13 @@ class StretchHistory:
         is_current = self.session.timeline.at(frame) is self.stretch and self.session.frame == frame
         return self.session.hash if is_current and all(change.frame != frame for change in self.stretch.changes) else None
 
-    def before_step(self, world: World) -> None:
+    def apply_interventions(self, world: World) -> None:
         self.stretch.before_step(world)
 
-    def missing(self, frame: int) -> ExplainError:
+    def missing_error(self, frame: int) -> ExplainError:
         return ExplainError(f"the history of frame {frame} is no longer stored", f"there is {self.session.first} to here")
 
-    def differs(self, frame: int) -> ExplainError:
+    def difference_error(self, frame: int) -> ExplainError:
         return ExplainError(f"frame {frame} comes out otherwise than it was", "this is a bug in antdsl: please report it")
 
 
@@ -65,15 +74,15 @@ class Explainer:
     def explain(self, agents: Sequence[tuple[str, int]], frame: int) -> list[LocatedExplanation | None]:
         """Return what agents (species, id) did in the step to a frame, with their states over time; None for an agent that did
         nothing in it. Raises ExplainError if that is unknown."""
-        replay = self._replay(frame)
+        replay = self._find_replay(frame)
         for species, _ in agents:
-            _known(species, replay.shot)
+            _check_species(species, replay.shot)
         history = replay.history
         assert isinstance(history, StretchHistory)
         if frame - 1 not in history.near:  # requests for other agents soon follow the first
-            history.near = {frame - 1: checkpoint(replay.begin(frame))}
+            history.near = {frame - 1: checkpoint(replay.restore_before(frame))}
         return [
-            None if account is None else replace(account, explanation=self._with_strip(account))
+            None if account is None else replace(account, explanation=self._with_state_history(account))
             for account in locate_explanations(replay, frame, agents)
         ]
 
@@ -83,22 +92,22 @@ class Explainer:
         try:
             [account] = self.explain([(species, agent)], frame)
             if account is None:
-                why = _words(absent(self._replay(frame), species, agent, frame))
+                why = _error_text(absence_error(self._find_replay(frame), species, agent, frame))
         except ExplainError as error:
-            why = _words(error)
+            why = _error_text(error)
         reply = {"op": "explained", "species": species, "agent": agent, "frame": frame, "message": why}
         if account is None:
             return reply | {"explanation": None, "told": "", "place": None, "neighbours": []}
         return reply | {
-            "explanation": _renamed(as_json(account.explanation), named),
+            "explanation": _rename_files(as_json(account.explanation), named),
             "told": tell(account.explanation),
             "place": list(account.place),
             "neighbours": [list(place) for place in account.neighbours],
         }
 
-    def _replay(self, frame: int) -> Replay:
+    def _find_replay(self, frame: int) -> Replay:
         """Return the replay for the step to a frame: that of the stretch in which the step began."""
-        first, head = self.session.first, self.session.head
+        first, head = self.session.first, self.session.last_frame
         if frame == first:
             raise ExplainError(f"frame {frame} is the first: no step led to it", f"ask at frame {frame + 1}, or later")
         if not first < frame <= head:
@@ -115,7 +124,7 @@ class Explainer:
         self._replays.append((stretch, key, replay))
         return replay
 
-    def _with_strip(self, account: LocatedExplanation) -> Any:
+    def _with_state_history(self, account: LocatedExplanation) -> Any:
         explanation = account.explanation
         state_strip = tuple(self._state_stretches(explanation.species, explanation.agent))
         alive = (min(each.first for each in state_strip), max(each.last for each in state_strip)) if state_strip else None
@@ -133,22 +142,22 @@ class Explainer:
                 state = machine.states[int(light[species].states[machine.name][rows[0]])]
                 frames_by_machine.setdefault(machine.name, []).append((frame, state))
         for name, frames in frames_by_machine.items():
-            yield from stretches(name, frames)
+            yield from state_stretches(name, frames)
 
 
-def _known(species: str, shot: Shot) -> None:
+def _check_species(species: str, shot: Shot) -> None:
     if species not in shot.plan.species:
         near = nearest_name(species, shot.plan.species)
         listed = ", ".join(f"`{name}`" for name in shot.plan.species)
         raise ExplainError(f"no species `{species}`", f"did you mean `{near}`?" if near else f"there is {listed}")
 
 
-def _words(error: ExplainError) -> str:
+def _error_text(error: ExplainError) -> str:
     return f"{error}: {error.help}" if error.help else str(error)
 
 
-def _renamed(value: Any, named: Callable[[str], str]) -> Any:
+def _rename_files(value: Any, named: Callable[[str], str]) -> Any:
     """The same with other names for files."""
     if isinstance(value, dict):
-        return {key: named(each) if key == "file" else _renamed(each, named) for key, each in value.items()}
-    return [_renamed(each, named) for each in value] if isinstance(value, list) else value
+        return {key: named(each) if key == "file" else _rename_files(each, named) for key, each in value.items()}
+    return [_rename_files(each, named) for each in value] if isinstance(value, list) else value

@@ -7,7 +7,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, Any
 
 from antdsl.preview.session import Session
-from antdsl.preview.viewing.names import Names
+from antdsl.preview.viewing.names import FileNames
 from antdsl.runtime.profiling import Profile
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ _EVERY = 0.25  # seconds between two messages
 _LEAST = 5e-4  # ms a frame: a faster line is not reported
 
 
-class Costs:
+class CostReporter:
     """An observer; the live thread's own."""
 
     def __init__(self, live: Live) -> None:
@@ -32,17 +32,17 @@ class Costs:
         self._told_at = -inf
         self._measure(self._live.session)
 
-    def stepping(self, session: Session) -> None:
+    def before_step(self, session: Session) -> None:
         """The session's meter begins automatically."""
 
-    def stepped(self, session: Session) -> Stop | None:
+    def after_step(self, session: Session) -> Stop | None:
         if self._asked:
             self._asked &= self._live.clients.keys()  # the others have left
             self._measure(session)
             self._tell(session)
         return None
 
-    def entered(self, session: Session) -> None:
+    def on_new_world(self, session: Session) -> None:
         """Move the session's meter to its new world."""
 
     def _measure(self, session: Session) -> None:
@@ -61,7 +61,7 @@ class Costs:
                 client.tell(packet)
 
 
-def message(profile: Profile, names: Names) -> dict[str, Any]:
+def message(profile: Profile, names: FileNames) -> dict[str, Any]:
     """A profile as pages read it."""
     return {
         "op": "profile",

@@ -20,12 +20,12 @@ class Stop:
 
 
 class Observer(Protocol):
-    def stepping(self, session: Session) -> None:
+    def before_step(self, session: Session) -> None:
         """Called before each step; `stepped` follows."""
 
-    def stepped(self, session: Session) -> Stop | None:
+    def after_step(self, session: Session) -> Stop | None:
         """Observe a step that was requested or that play made; not those that a seek simulates again. It may add numbers to
         `session.timeline.curves[session.frame]`."""
 
-    def entered(self, session: Session) -> None:
+    def on_new_world(self, session: Session) -> None:
         """Called when the session has a new world: opened, reloaded, restarted, or moved back in time."""

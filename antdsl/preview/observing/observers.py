@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from antdsl.preview.breaking import Breakpoints
-from antdsl.preview.observing.meter import Costs
+from antdsl.preview.observing.meter import CostReporter
 from antdsl.preview.observing.observer import Observer
 from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.session import Session
@@ -32,7 +32,7 @@ def _notes(live: Live) -> Observer:
 
 # What each Live makes one of, in this order; a handler gets at its own by `live.observer(Kind)`. A spec is judged before one asks
 # whether it failed.
-OBSERVERS: tuple[Callable[[Live], Observer], ...] = (Costs, _notes, _specs, _breakpoints)
+OBSERVERS: tuple[Callable[[Live], Observer], ...] = (CostReporter, _notes, _specs, _breakpoints)
 
 
 class Notes:
@@ -41,15 +41,15 @@ class Notes:
     def __init__(self) -> None:
         self._said: set[str] = set()
 
-    def stepping(self, session: Session) -> None:
+    def before_step(self, session: Session) -> None:
         """What comes is said after the step."""
 
-    def stepped(self, session: Session) -> Stop | None:
+    def after_step(self, session: Session) -> Stop | None:
         for sentence in session.world.backend.messages():
             if sentence not in self._said:
                 self._said.add(sentence)
                 print(sentence, file=sys.stderr, flush=True)
         return None
 
-    def entered(self, session: Session) -> None:
+    def on_new_world(self, session: Session) -> None:
         """Do nothing: a world without steps has nothing to say."""

@@ -27,7 +27,7 @@ CURVE = "spec: "
 
 
 @dataclass(slots=True, eq=False)
-class Judged:
+class SpecStatus:
     """One spec, with a judge, or with `why` there is none. `plan` is None where no plan can exist."""
 
     name: str
@@ -60,7 +60,7 @@ class Specs:
 
     def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.tell, self.wanted = tell, frozenset[str]()
-        self.judged: list[Judged] = []
+        self.judged: list[SpecStatus] = []
         self._plans: tuple[Shot, list[tuple[str, SpecPlan | str]]] | None = None
         self._stretch: Stretch | None = None
         self._last = 0  # the frame that was judged last
@@ -70,55 +70,55 @@ class Specs:
     def message(self) -> dict[str, Any]:
         return {"op": "specs", "specs": [each.as_json() for each in self.judged]}
 
-    def want(self, names: Collection[str]) -> None:
+    def require(self, names: Collection[str]) -> None:
         """Judge these whatever it costs; one that was let go of is judged from the next step on."""
         self.wanted = frozenset(names)
 
-    def known(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
+    def plans_by_name(self, shot: Shot, scene: Path) -> list[tuple[str, SpecPlan | str]]:
         """Return the specs of a program by name, each with its plan, or the reason why it is not judged here."""
         if self._plans is None or self._plans[0] is not shot:
-            self._plans = shot, list(_planned(shot, scene))
+            self._plans = shot, list(_plan_specs(shot, scene))
         return self._plans[1]
 
-    def entered(self, session: Session) -> None:
+    def on_new_world(self, session: Session) -> None:
         """Do nothing: another world is detected by its stretch at the next step."""
 
-    def stepping(self, session: Session) -> None:
-        self._follow(session)
+    def before_step(self, session: Session) -> None:
+        self._judge_frame(session)
         self._began = perf_counter()
 
-    def stepped(self, session: Session) -> Stop | None:
+    def after_step(self, session: Session) -> Stop | None:
         took = perf_counter() - self._began
-        self._follow(session)
+        self._judge_frame(session)
         for each in self.judged:
-            self._let_go(each, took)
+            self._stop_if_slow(each, took)
         message = self.message()
         if message != self._told:
             self._told = message
             self.tell(message)
         return None
 
-    def _follow(self, session: Session) -> None:
+    def _judge_frame(self, session: Session) -> None:
         """Judge the session's current frame, if the session is there for the first time."""
         frame, shot = session.frame, session.shot
-        if frame != session.head or frame < shot.frames.first:
+        if frame != session.last_frame or frame < shot.frames.first:
             return
         stretch = session.timeline.at(frame)
         if stretch is not self._stretch or frame not in (self._last, self._last + 1):
             self._stretch = stretch
-            self.judged = [_judged(*each) for each in self.known(shot, session.compiler.scene)]
-            fresh = self._begin(session, lambda each: True)
+            self.judged = [_make_status(*each) for each in self.plans_by_name(shot, session.compiler.scene)]
+            fresh = self._start_judging(session, lambda each: True)
         else:
-            again = self._begin(session, lambda each: each.name in self.wanted)
+            again = self._start_judging(session, lambda each: each.name in self.wanted)
             fresh = self.judged if frame != self._last else again
         self._last = frame
         for each in fresh:
-            self._look(each, session.world)
+            self._judge_spec(each, session.world)
             if each.judge is not None:
                 curve = 0.0 if each.failure is not None else 1.0
                 session.timeline.curves[frame].setdefault(CURVE + each.name, curve)
 
-    def _begin(self, session: Session, which: Callable[[Judged], bool]) -> list[Judged]:
+    def _start_judging(self, session: Session, which: Callable[[SpecStatus], bool]) -> list[SpecStatus]:
         """Judge, from this frame on, the matching specs that are not judged yet and can be."""
         candidates = [each for each in self.judged if each.judge is None and each.plan is not None and which(each)]
         for each in candidates:
@@ -127,7 +127,7 @@ class Specs:
             each.why, each.seconds, each.frames = "", 0.0, 0
         return candidates
 
-    def _look(self, each: Judged, world: World) -> None:
+    def _judge_spec(self, each: SpecStatus, world: World) -> None:
         if each.judge is not None and not each.judge.over:
             began = thread_time()  # of the processor: what others do on this machine is not its fault
             each.judge.look(world)
@@ -135,7 +135,7 @@ class Specs:
             if each.frames > _WARM:
                 each.seconds += thread_time() - began
 
-    def _let_go(self, each: Judged, step: float) -> None:
+    def _stop_if_slow(self, each: SpecStatus, step: float) -> None:
         """Stop judging a spec that takes too long, while it has not failed and no breakpoint waits for it."""
         if each.judge is None or each.frames < _TRIED or each.name in self.wanted or each.failure is not None:
             return
@@ -145,24 +145,24 @@ class Specs:
             each.why = f"judging it takes {1000 * takes:.1f} ms a frame: with a breakpoint on it, it is judged all the same"
 
 
-def _judged(name: str, plan: SpecPlan | str) -> Judged:
-    return Judged(name, None, plan) if isinstance(plan, str) else Judged(name, plan)
+def _make_status(name: str, plan: SpecPlan | str) -> SpecStatus:
+    return SpecStatus(name, None, plan) if isinstance(plan, str) else SpecStatus(name, plan)
 
 
-def _planned(shot: Shot, scene: Path) -> Iterator[tuple[str, SpecPlan | str]]:
+def _plan_specs(shot: Shot, scene: Path) -> Iterator[tuple[str, SpecPlan | str]]:
     names: list[str] = []
     for spec in shot.program.specs:
         names.append(spec.name)
         name = spec.name if names.count(spec.name) == 1 else f"{spec.name} ({names.count(spec.name)})"
-        yield name, _why_not(spec, shot, scene) or _plan(spec, shot)
+        yield name, _obstacle_text(spec, shot, scene) or _plan_spec(spec, shot)
 
 
-def _plan(spec: Spec, shot: Shot) -> SpecPlan | str:
+def _plan_spec(spec: Spec, shot: Shot) -> SpecPlan | str:
     plan, report = lower_spec(spec, shot.program, shot.plan)
     return plan if plan is not None else next(each.message for each in report.errors)
 
 
-def _why_not(spec: Spec, shot: Shot, scene: Path) -> str:
+def _obstacle_text(spec: Spec, shot: Shot, scene: Path) -> str:
     """Return why a spec does not apply to this run; empty if it does."""
     if spec.scene is not None:
         try:

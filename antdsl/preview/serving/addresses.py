@@ -16,12 +16,12 @@ _LOOPBACK = ("127.0.0.1", "::1")
 _ABSENT = (errno.EADDRNOTAVAIL, errno.EAFNOSUPPORT)  # as `::1` where a machine has no IPv6
 
 
-class CannotListen(Exception):
+class ListenError(Exception):
     """No socket there; in words for a person."""
 
 
 @dataclass(frozen=True, slots=True)
-class Listening:
+class ListeningSockets:
     """Bound sockets, the names that a request may call them by, with the port, and addresses to open, the best first."""
 
     sockets: tuple[socket.socket, ...]
@@ -42,26 +42,26 @@ def is_loopback(host: str | None) -> bool:
     return host is None or all(ip_address(each).is_loopback for each in _resolve_host(host))
 
 
-def listen(host: str | None = None, port: int | None = None) -> Listening:
+def listen(host: str | None = None, port: int | None = None) -> ListeningSockets:
     """Bind sockets on the loopback interface, or at `host`. Without `port`, use the first free one from 8765 on; 0 takes any.
     Raises CannotListen if a named port is taken, or if this machine does not have the host."""
     addresses = _LOOPBACK if host is None else _resolve_host(host)
     for candidate in (port,) if port is not None else range(PORT, PORT + _NEXT):
         try:
-            sockets, taken = _bound(addresses, candidate)
+            sockets, taken = _bind_sockets(addresses, candidate)
         except OSError as why:
             if why.errno == errno.EADDRINUSE and port is None:
                 continue
-            raise CannotListen(_words(why, host, candidate)) from None
-        names = [_in_address(name) for name in _names(host, addresses)]
-        display_names = [_in_address(name) for name in _open(host, addresses, sockets)]
-        return Listening(
+            raise ListenError(_error_text(why, host, candidate)) from None
+        names = [_url_host(name) for name in _server_names(host, addresses)]
+        display_names = [_url_host(name) for name in _browser_addresses(host, addresses, sockets)]
+        return ListeningSockets(
             sockets, frozenset(f"{name}:{taken}" for name in names), tuple(f"http://{name}:{taken}/" for name in display_names)
         )
-    raise CannotListen(f"the ports {PORT} to {PORT + _NEXT - 1} are all taken")
+    raise ListenError(f"the ports {PORT} to {PORT + _NEXT - 1} are all taken")
 
 
-def _bound(addresses: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
+def _bind_sockets(addresses: Iterable[str], port: int) -> tuple[tuple[socket.socket, ...], int]:
     """Return sockets at all addresses, on one port, and the port. An address that this machine lacks is left out if there is
     another. One that another program holds is an error, or `localhost` would lead to that program."""
     sockets: list[socket.socket] = []
@@ -110,30 +110,30 @@ def _resolve_host(host: str) -> tuple[str, ...]:
     try:
         entries = socket.getaddrinfo(host, None, type=socket.SOCK_STREAM)
     except (OSError, UnicodeError):
-        raise CannotListen(f"there is no host `{host}`") from None
+        raise ListenError(f"there is no host `{host}`") from None
     return tuple(dict.fromkeys(str(each[4][0]) for each in entries))
 
 
-def _names(host: str | None, addresses: Iterable[str]) -> list[str]:
+def _server_names(host: str | None, addresses: Iterable[str]) -> list[str]:
     """Return names that lead to this server and to no other: the requested one, and its addresses. A server that listens at every
     address is also called by each address and name of the machine. A name that an attacker may choose is not among them."""
     if host is None:
         return ["localhost", *_LOOPBACK]
     addresses = list(addresses)
     if any(ip_address(each).is_unspecified for each in addresses):
-        return ["localhost", *_LOOPBACK, socket.gethostname().lower(), *_machine()]
+        return ["localhost", *_LOOPBACK, socket.gethostname().lower(), *_machine_addresses()]
     return [host.lower(), *addresses]
 
 
-def _open(host: str | None, addresses: Iterable[str], sockets: Iterable[socket.socket]) -> list[str]:
+def _browser_addresses(host: str | None, addresses: Iterable[str], sockets: Iterable[socket.socket]) -> list[str]:
     if host is None:
         return [str(each.getsockname()[0]) for each in sockets][:1]
     if any(ip_address(each).is_unspecified for each in addresses):
-        return [*_machine(), "127.0.0.1" if "0.0.0.0" in addresses else "::1"]
+        return [*_machine_addresses(), "127.0.0.1" if "0.0.0.0" in addresses else "::1"]
     return [host.lower()]
 
 
-def _machine() -> list[str]:
+def _machine_addresses() -> list[str]:
     """Return addresses at which others reach this machine: those of its host name, and those that it would send from."""
     addresses: list[str] = []
     with suppress(OSError, UnicodeError):
@@ -146,11 +146,11 @@ def _machine() -> list[str]:
     return [each for each in dict.fromkeys(addresses) if "%" not in each and not ip_address(each).is_loopback]
 
 
-def _in_address(name: str) -> str:
+def _url_host(name: str) -> str:
     return f"[{name}]" if ":" in name else name
 
 
-def _words(why: OSError, host: str | None, port: int) -> str:
+def _error_text(why: OSError, host: str | None, port: int) -> str:
     if why.errno == errno.EADDRINUSE:
         return f"port {port} is taken"
     if why.errno in (errno.EACCES, errno.EPERM):

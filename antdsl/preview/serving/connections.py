@@ -21,7 +21,7 @@ class ConnectionGate:
         self._waiting: dict[Connection, None] = {}
         self._in: dict[Connection, bool] = {}  # with whether it came by a code that is good once
 
-    def connection(self, *args: Any, **options: Any) -> Connection:
+    def make_connection(self, *args: Any, **options: Any) -> Connection:
         """A connection, as `serve` makes them."""
         return Connection(self, *args, **options)
 
@@ -43,7 +43,7 @@ class ConnectionGate:
             del self._waiting[oldest]
             oldest.transport.abort()
 
-    def hang_up(self) -> None:
+    def close_all(self) -> None:
         for each in (*self._waiting, *self._in):
             each.transport.abort()
 
@@ -59,7 +59,7 @@ class Connection(ServerConnection):
     def __init__(self, gate: ConnectionGate, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._door = gate
-        self._frames = Bucket(limits.PREVIEW_FRAMES_A_SECOND, 2 * limits.PREVIEW_FRAMES_A_SECOND)
+        self._frames = TokenBucket(limits.PREVIEW_FRAMES_A_SECOND, 2 * limits.PREVIEW_FRAMES_A_SECOND)
         self._pieces = 0
 
     def connection_made(self, transport: Any) -> None:
@@ -71,12 +71,12 @@ class Connection(ServerConnection):
         super().connection_lost(exc)
 
     def process_event(self, event: Any) -> None:
-        if isinstance(event, Frame) and not self._in_order(event):
+        if isinstance(event, Frame) and not self._is_within_limits(event):
             self.transport.abort()
             return
         super().process_event(event)
 
-    def _in_order(self, frame: Frame) -> bool:
+    def _is_within_limits(self, frame: Frame) -> bool:
         if frame.opcode in (Opcode.TEXT, Opcode.BINARY):
             self._pieces = 0
         elif frame.opcode is Opcode.CONT:
@@ -84,7 +84,7 @@ class Connection(ServerConnection):
         return self._pieces < limits.PREVIEW_FRAGMENTS and self._frames.take()
 
 
-class Bucket:
+class TokenBucket:
     """A rate limiter: holds up to `most` tokens and gains `rate` per second; each event takes one. `clock` returns seconds."""
 
     def __init__(self, rate: float, most: float, clock: Callable[[], float] = monotonic) -> None:

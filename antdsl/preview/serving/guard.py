@@ -34,27 +34,27 @@ _TOKEN = "token."
 
 
 @dataclass(frozen=True, slots=True)
-class Returning:
+class ReturningPages:
     """`key` is for pages that are let in now, `previous_keys` has those of earlier starts."""
 
     key: str = field(repr=False)
     previous_keys: tuple[str, ...] = field(default=(), repr=False)
 
     @classmethod
-    def of(cls, scene: Path, port: int, folder: Path | None = None) -> Returning | None:
+    def of(cls, scene: Path, port: int, folder: Path | None = None) -> ReturningPages | None:
         """Return the record for a server of a scene that starts now; None if nothing can be stored in private."""
         try:
             name = sha256(f"{os.path.realpath(scene)}|{port}".encode("utf-8", "surrogateescape")).hexdigest()[:32]
             folder = folder or state_folder() / "antdsl" / "preview"
             make_private_folder(folder)
             place = folder / f"{name}.json"
-            returning = cls(secrets.token_urlsafe(32), _read(place))
-            _write(place, [returning.key, *returning.previous_keys][:_STARTS])
+            returning = cls(secrets.token_urlsafe(32), _read_keys(place))
+            _write_keys(place, [returning.key, *returning.previous_keys][:_STARTS])
         except OSError:  # no such folder, not ours alone, or no home
             return None
         return returning
 
-    def proves(self, answer: str | bytes, host: str, nonce: str) -> bool:
+    def is_proof(self, answer: str | bytes, host: str, nonce: str) -> bool:
         """Whether an answer to `nonce` comes from a page that was let in before, at this very name and port: another server
         cannot hand it on."""
         if not isinstance(answer, str):
@@ -65,7 +65,7 @@ class Returning:
         return any([hmac.compare_digest(answer_bytes, proof) for proof in proofs])  # all of them, in the same time
 
 
-def _read(place: Path) -> tuple[str, ...]:
+def _read_keys(place: Path) -> tuple[str, ...]:
     """The keys in a file; none of one that is anything but a small private file of keys."""
     try:
         keys = list(json.loads(read_private(place, _BYTES))["keys"])
@@ -74,7 +74,7 @@ def _read(place: Path) -> tuple[str, ...]:
     return tuple(key for key in keys if isinstance(key, str) and _KEY.fullmatch(key))[:_STARTS]
 
 
-def _write(place: Path, keys: Sequence[str]) -> None:
+def _write_keys(place: Path, keys: Sequence[str]) -> None:
     """Write the keys atomically, readable by the file's owner only."""
     write_atomically(place, json.dumps({"keys": list(keys)}).encode("ascii"), mode=0o600)
     with suppress(OSError):
@@ -98,7 +98,7 @@ class Guard:
     names: frozenset[str]
     token: str = field(default_factory=lambda: secrets.token_urlsafe(32), repr=False)
     _codes: set[str] = field(default_factory=set, repr=False)
-    returning: Returning | None = None
+    returning: ReturningPages | None = None
 
     def invite(self) -> str:
         """A code that stands for the token once: for the address that a browser is started with, which other people on this
@@ -107,7 +107,7 @@ class Guard:
         self._codes.add(code)
         return code
 
-    def host(self, headers: Sequence[str]) -> bool:
+    def is_own_host(self, headers: Sequence[str]) -> bool:
         """Return whether a request's `Host` headers are valid: exactly one, equal to one of the names."""
         return len(headers) == 1 and headers[0] in self.names
 
@@ -120,25 +120,25 @@ class Guard:
 
     def page(self, hosts: Sequence[str], origins: Sequence[str]) -> bool:
         """Return whether the page may be loaded. It holds no secret, so no token is needed."""
-        return self.host(hosts) and self.origin(origins) is not False
+        return self.is_own_host(hosts) and self.origin(origins) is not False
 
-    def socket(self, hosts: Sequence[str], origins: Sequence[str], offered: Iterable[str]) -> Verdict:
+    def judge_socket(self, hosts: Sequence[str], origins: Sequence[str], offered: Iterable[str]) -> Verdict:
         """Whether a socket may be opened; `offered` are its `Sec-WebSocket-Protocol` headers."""
         origin = self.origin(origins)
-        if not self.host(hosts) or origin is False:
+        if not self.is_own_host(hosts) or origin is False:
             return Verdict.STRANGER
         words = [word.strip() for line in offered for word in line.split(",")]
         tokens = [word.removeprefix(_TOKEN) for word in words if word.startswith(_TOKEN)]
         if PROTOCOL in words and len(tokens) == 1:
-            if _same(tokens[0], self.token):
+            if _is_equal(tokens[0], self.token):
                 return Verdict.IN
-            used = {code for code in self._codes if _same(tokens[0], code)}
+            used = {code for code in self._codes if _is_equal(tokens[0], code)}
             self._codes.difference_update(used)
             if used:
                 return Verdict.INVITED
         return Verdict.STRANGER if origin is None else Verdict.WRONG_TOKEN
 
 
-def _same(one: str, other: str) -> bool:
+def _is_equal(one: str, other: str) -> bool:
     """Compare two texts in a time that does not reveal where they differ."""
     return hmac.compare_digest(one.encode("utf-8", "surrogatepass"), other.encode())

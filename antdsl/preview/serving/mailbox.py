@@ -17,7 +17,7 @@ from antdsl import limits
 
 
 @dataclass(slots=True, eq=False)
-class _Waiting:
+class _QueuedPacket:
     """A packet in its place in the queue; None once a later one took another place."""
 
     slot: str
@@ -39,9 +39,9 @@ class Mailbox:
     ) -> None:
         self._loop, self._hello, self._full = loop, hello, full
         self._most_words, self._most_packets = words, packets
-        self._queue: deque[str | _Waiting] = deque()
-        self._waiting: dict[str, _Waiting] = {}  # packets that a later one of their slot replaces in place
-        self._before: dict[str, _Waiting] = {}  # the same from before the last scene: replaced, but not in place
+        self._queue: deque[str | _QueuedPacket] = deque()
+        self._waiting: dict[str, _QueuedPacket] = {}  # packets that a later one of their slot replaces in place
+        self._before: dict[str, _QueuedPacket] = {}  # the same from before the last scene: replaced, but not in place
         self._words = self._packets = 0  # bytes
         self._lock, self._there = Lock(), asyncio.Event()
         self._woken = self._closed = False
@@ -60,7 +60,7 @@ class Mailbox:
                 # a packet of the new scene must not take the place of one from before: it would arrive ahead of the scene
                 self._before.update(self._waiting)
                 self._waiting.clear()
-            self._look()
+            self._wake_or_close()
 
     def show(self, slot: str, packet: bytes) -> None:
         """Replace the packet of the same slot that still waits, else append. So a slot waits at most once, and frequent packets
@@ -77,9 +77,9 @@ class Mailbox:
                 self._packets -= len(waiting.packet or b"")
                 waiting.packet = packet
             else:
-                self._waiting[slot] = new_item = _Waiting(slot, packet)
+                self._waiting[slot] = new_item = _QueuedPacket(slot, packet)
                 self._queue.append(new_item)
-            self._look()
+            self._wake_or_close()
 
     async def next(self) -> str | bytes:
         """Return the next message or packet to send; wait for one if there is none. For one reader, on the event loop."""
@@ -112,7 +112,7 @@ class Mailbox:
                 return first.packet
         return None
 
-    def _look(self) -> None:
+    def _wake_or_close(self) -> None:
         """Wake who reads, or give up. The lock is held."""
         over = self._words > self._most_words or self._packets > self._most_packets
         if over:

@@ -16,7 +16,7 @@ _BUILD = b'<meta name="build" content="" />'
 
 
 @dataclass(frozen=True, slots=True)
-class Pages:
+class PageFiles:
     """The page's files. `routes`: type and body by the address as in a request. Addresses are looked up only here, and are never
     turned into file names."""
 
@@ -24,7 +24,7 @@ class Pages:
     build: str
 
 
-def pages() -> Pages:
+def load_pages() -> PageFiles:
     """Return the installed page. Raises OSError if its files are missing."""
     bodies = {name: page_file(name).read_bytes() for name in _FILES}
     hashed = sha256()
@@ -34,4 +34,4 @@ def pages() -> Pages:
     # the page compares this with what the server says when it is connected: one out of a cache finds out that it is old
     bodies["index.html"] = bodies["index.html"].replace(_BUILD, _BUILD.replace(b'""', f'"{build}"'.encode()))
     routes = {f"/{name}": (kind, bodies[name]) for name, kind in _FILES.items()}
-    return Pages({**routes, "/": routes["/index.html"]}, build)
+    return PageFiles({**routes, "/": routes["/index.html"]}, build)

@@ -24,13 +24,13 @@ from websockets.http11 import Request, Response
 from websockets.typing import Subprotocol
 
 from antdsl import limits
-from antdsl.preview.live import Busy, Client
+from antdsl.preview.live import Client, QueueFull
 from antdsl.preview.requests import ASK, Ask
-from antdsl.preview.serving.addresses import Listening
-from antdsl.preview.serving.connections import Bucket, ConnectionGate
+from antdsl.preview.serving.addresses import ListeningSockets
+from antdsl.preview.serving.connections import ConnectionGate, TokenBucket
 from antdsl.preview.serving.guard import PROTOCOL, Guard, Verdict
 from antdsl.preview.serving.mailbox import Mailbox
-from antdsl.preview.serving.pages import Pages
+from antdsl.preview.serving.pages import PageFiles
 
 POLICY: Final = "; ".join(
     (
@@ -66,7 +66,7 @@ _SILENT = logging.getLogger("antdsl.preview.serving")
 
 
 @dataclass(frozen=True, slots=True)
-class Refused:
+class RefusedRequest:
     """A rejected request. `of`: its op, if that exists."""
 
     of: str
@@ -77,7 +77,7 @@ class Refused:
         return {"op": "refused", "of": self.of, "message": self.message, "help": self.help}
 
 
-def read(text: str) -> Ask | Refused:
+def read_request(text: str) -> Ask | RefusedRequest:
     """Return the request in a message. Errors never repeat the message's content, except names of ops and their fields."""
     try:
         return ASK.validate_json(text)
@@ -85,21 +85,21 @@ def read(text: str) -> Ask | Refused:
         first = why.errors(include_url=False, include_context=False, include_input=False)[0]
     kind, place = first["type"], [str(part) for part in first["loc"]]
     if kind == "json_invalid":
-        return Refused("", "a message was no JSON that can be read", "load this page again")
+        return RefusedRequest("", "a message was no JSON that can be read", "load this page again")
     if kind in ("union_tag_invalid", "union_tag_not_found") and not place:
-        return Refused("", "a message asks for nothing that a preview does", "load this page again")
+        return RefusedRequest("", "a message asks for nothing that a preview does", "load this page again")
     if not place:
-        return Refused("", "a message is not a list of names and values", "load this page again")
+        return RefusedRequest("", "a message is not a list of names and values", "load this page again")
     where = " ".join(f"`{part}`" for part in place[1:]) or "the message"
     words = first["msg"][:1].lower() + first["msg"][1:]
-    return Refused(place[0], f"{where} of `{place[0]}`: {words}")
+    return RefusedRequest(place[0], f"{where} of `{place[0]}`: {words}")
 
 
 _SILENT.addHandler(logging.NullHandler())
 _SILENT.propagate = False
 
 
-class Answers(Protocol):
+class SimulationHost(Protocol):
     """What the server needs of the simulation: `antdsl.preview.live.Live`, thread-safe, never blocking."""
 
     def ask(self, ask: Ask, client: Client) -> None: ...
@@ -110,7 +110,7 @@ class Answers(Protocol):
 class Server:
     """`async with Server(...).running():` serves until the block ends."""
 
-    def __init__(self, live: Answers, guard: Guard, pages: Pages, listening: Listening) -> None:
+    def __init__(self, live: SimulationHost, guard: Guard, pages: PageFiles, listening: ListeningSockets) -> None:
         self._live, self._guard, self._pages, self._listening = live, guard, pages, listening
         self._door = ConnectionGate()
         self._clients: set[ServerConnection] = set()
@@ -122,11 +122,11 @@ class Server:
             for each in self._listening.sockets:
                 await stack.enter_async_context(
                     serve(
-                        self._client,
+                        self._serve_client,
                         sock=each,
-                        create_connection=cast("type[ServerConnection]", self._door.connection),
-                        process_request=self._request,
-                        process_response=_with_headers,
+                        create_connection=cast("type[ServerConnection]", self._door.make_connection),
+                        process_request=self._answer_request,
+                        process_response=_add_headers,
                         subprotocols=[Subprotocol(PROTOCOL)],
                         server_header=None,
                         compression=None,  # what unpacks to gigabytes is never unpacked, and loopback has no need of it
@@ -142,50 +142,50 @@ class Server:
                 yield
             finally:
                 # the library says goodbye and waits until that is sent, which never happens without a reader
-                asyncio.get_running_loop().call_later(_CLOSE, self._door.hang_up)
+                asyncio.get_running_loop().call_later(_CLOSE, self._door.close_all)
 
     # --- requests ------------------------------------------------------------------------------------------------------
 
-    def _request(self, connection: ServerConnection, request: Request) -> Response | None:
+    def _answer_request(self, connection: ServerConnection, request: Request) -> Response | None:
         """The answer to a request, or None to go on and open a socket."""
         hosts, origins = request.headers.get_all("Host"), request.headers.get_all("Origin")
         if getattr(request, "method", "GET") != "GET":  # earlier versions of websockets read nothing else
-            return _answer(HTTPStatus.METHOD_NOT_ALLOWED, extra=[("Allow", "GET")])
+            return _make_response(HTTPStatus.METHOD_NOT_ALLOWED, extra=[("Allow", "GET")])
         if not self._guard.page(hosts, origins):
-            return _answer(HTTPStatus.FORBIDDEN)
+            return _make_response(HTTPStatus.FORBIDDEN)
         if request.path == "/ws":
-            verdict = self._guard.socket(hosts, origins, request.headers.get_all("Sec-WebSocket-Protocol"))
+            verdict = self._guard.judge_socket(hosts, origins, request.headers.get_all("Sec-WebSocket-Protocol"))
             if verdict is Verdict.STRANGER:
-                return _answer(HTTPStatus.FORBIDDEN)
+                return _make_response(HTTPStatus.FORBIDDEN)
             if verdict in (Verdict.IN, Verdict.INVITED):
                 self._door.let_in(connection, invited=verdict is Verdict.INVITED)
             return None
         route = self._pages.routes.get(request.path)
-        return _answer(HTTPStatus.NOT_FOUND) if route is None else _answer(HTTPStatus.OK, *route)
+        return _make_response(HTTPStatus.NOT_FOUND) if route is None else _make_response(HTTPStatus.OK, *route)
 
     # --- sockets -------------------------------------------------------------------------------------------------------
 
-    async def _client(self, connection: ServerConnection) -> None:
-        if not self._door.is_in(connection) and await self._comes_back(connection):
+    async def _serve_client(self, connection: ServerConnection) -> None:
+        if not self._door.is_in(connection) and await self._is_returning(connection):
             self._door.let_in(connection, invited=True)
         if not self._door.is_in(connection):
             # only a page can read why: a browser tells it nothing of an answer that is no socket
-            await _let_go(connection, CloseCode.POLICY_VIOLATION, "wrong token")
+            await _close_connection(connection, CloseCode.POLICY_VIOLATION, "wrong token")
             return
         if len(self._clients) >= limits.PREVIEW_CLIENTS:
-            await _let_go(connection, CloseCode.TRY_AGAIN_LATER, "too many pages look on")
+            await _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many pages look on")
             return
         hello = {"build": self._pages.build}
         if self._door.is_invited(connection):
             hello["token"] = self._guard.token
         if self._guard.returning is not None:
             hello["key"] = self._guard.returning.key
-        mailbox = Mailbox(asyncio.get_running_loop(), hello, lambda: self._too_slow(connection))
+        mailbox = Mailbox(asyncio.get_running_loop(), hello, lambda: self._drop_slow_client(connection))
         self._clients.add(connection)
         self._live.join(mailbox)
-        sender = asyncio.create_task(_send(connection, mailbox))
+        sender = asyncio.create_task(_send_messages(connection, mailbox))
         try:
-            await self._hear(connection, mailbox)
+            await self._read_requests(connection, mailbox)
         finally:
             self._live.leave(mailbox)
             self._clients.discard(connection)
@@ -194,7 +194,7 @@ class Server:
             with suppress(asyncio.CancelledError):
                 await sender
 
-    async def _comes_back(self, connection: ServerConnection) -> bool:
+    async def _is_returning(self, connection: ServerConnection) -> bool:
         """Return whether one of our pages with a wrong token proves that it was admitted before the server restarted."""
         returning = self._guard.returning
         if returning is None or not returning.previous_keys or connection.request is None:
@@ -203,47 +203,49 @@ class Server:
         try:
             async with asyncio.timeout(_OPEN):
                 await connection.send(json.dumps({"op": "return", "nonce": nonce}))
-                return returning.proves(await connection.recv(), connection.request.headers["Host"], nonce)
+                return returning.is_proof(await connection.recv(), connection.request.headers["Host"], nonce)
         except (TimeoutError, ConnectionClosed):
             return False
 
-    async def _hear(self, connection: ServerConnection, mailbox: Mailbox) -> None:
+    async def _read_requests(self, connection: ServerConnection, mailbox: Mailbox) -> None:
         """Read requests until the client disconnects or must be disconnected."""
-        bucket = Bucket(limits.PREVIEW_ASKS_A_SECOND, 2 * limits.PREVIEW_ASKS_A_SECOND)
-        patience, tell = Bucket(*_PATIENCE), Bucket(1, 1)
+        bucket = TokenBucket(limits.PREVIEW_ASKS_A_SECOND, 2 * limits.PREVIEW_ASKS_A_SECOND)
+        patience, tell = TokenBucket(*_PATIENCE), TokenBucket(1, 1)
         with suppress(ConnectionClosed):
             async for message in connection:
                 if not isinstance(message, str):
-                    await _let_go(connection, CloseCode.UNSUPPORTED_DATA, "only text is read")
+                    await _close_connection(connection, CloseCode.UNSUPPORTED_DATA, "only text is read")
                     return
                 if bucket.take():
-                    self._pass_on(message, mailbox)
+                    self._forward_request(message, mailbox)
                 elif not patience.take():
-                    await _let_go(connection, CloseCode.TRY_AGAIN_LATER, "asks too much")
+                    await _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "asks too much")
                     return
                 elif tell.take():
-                    mailbox.tell(Refused("", "this page sends too many requests at once: the last one is lost").message_out())
+                    mailbox.tell(
+                        RefusedRequest("", "this page sends too many requests at once: the last one is lost").message_out()
+                    )
 
-    def _pass_on(self, message: str, mailbox: Mailbox) -> None:
-        request = read(message)
-        if isinstance(request, Refused):
+    def _forward_request(self, message: str, mailbox: Mailbox) -> None:
+        request = read_request(message)
+        if isinstance(request, RefusedRequest):
             mailbox.tell(request.message_out())
             return
         try:
             self._live.ask(request, mailbox)
-        except Busy:
-            mailbox.tell(Refused(request.op, "too many requests are waiting", "try again in a moment").message_out())
+        except QueueFull:
+            mailbox.tell(RefusedRequest(request.op, "too many requests are waiting", "try again in a moment").message_out())
         except Exception:
             traceback.print_exc(file=sys.stderr)
-            mailbox.tell(Refused(request.op, "this is a bug in antdsl: the terminal has more").message_out())
+            mailbox.tell(RefusedRequest(request.op, "this is a bug in antdsl: the terminal has more").message_out())
 
-    def _too_slow(self, connection: ServerConnection) -> None:
-        closing = asyncio.create_task(_let_go(connection, CloseCode.TRY_AGAIN_LATER, "too much waits for this page"))
+    def _drop_slow_client(self, connection: ServerConnection) -> None:
+        closing = asyncio.create_task(_close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too much waits for this page"))
         self._closing.add(closing)
         closing.add_done_callback(self._closing.discard)
 
 
-async def _send(connection: ServerConnection, mailbox: Mailbox) -> None:
+async def _send_messages(connection: ServerConnection, mailbox: Mailbox) -> None:
     """Send the waiting messages one by one. The next is chosen only after the last was sent, so a slow client gets the latest."""
     try:
         while True:
@@ -256,7 +258,7 @@ async def _send(connection: ServerConnection, mailbox: Mailbox) -> None:
         connection.transport.abort()
 
 
-async def _let_go(connection: ServerConnection, code: CloseCode, why: str) -> None:
+async def _close_connection(connection: ServerConnection, code: CloseCode, why: str) -> None:
     """Close a connection with a code and a reason; the client may not respond."""
     with suppress(TimeoutError):
         async with asyncio.timeout(_CLOSE):
@@ -264,7 +266,7 @@ async def _let_go(connection: ServerConnection, code: CloseCode, why: str) -> No
     connection.transport.abort()
 
 
-def _answer(
+def _make_response(
     status: HTTPStatus,
     kind: str = "text/plain; charset=utf-8",
     body: bytes | None = None,
@@ -276,18 +278,18 @@ def _answer(
     return Response(status.value, status.phrase, headers, body)
 
 
-def _with_headers(connection: ServerConnection, request: Request, response: Response) -> None:
+def _add_headers(connection: ServerConnection, request: Request, response: Response) -> None:
     """Add the common headers to a response, also to those that the library creates."""
     for name, value in HEADERS:
         response.headers[name] = value
 
 
-def serve_here(server: Server, ready: Callable[[], None]) -> None:
+def run_server(server: Server, ready: Callable[[], None]) -> None:
     """Serve until Ctrl-C or a termination; `ready` is called once pages can be loaded."""
-    asyncio.run(_until_stopped(server, ready))
+    asyncio.run(_serve_until_stopped(server, ready))
 
 
-async def _until_stopped(server: Server, ready: Callable[[], None]) -> None:
+async def _serve_until_stopped(server: Server, ready: Callable[[], None]) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         with suppress(NotImplementedError):  # on Windows Ctrl-C is an exception, and cancels this

@@ -14,19 +14,19 @@ from antdsl.bodies.agents.blending import posed
 from antdsl.bodies.agents.definition import Definition, TransformGroup
 from antdsl.bodies.agents.driving import with_channels
 from antdsl.bodies.agents.leg_ik import Legs
-from antdsl.bodies.agents.machine_clips import MachineClips, Played, machines_playing
+from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, playing_of_machines
 from antdsl.bodies.agents.poses import ClipTable, clip_table
-from antdsl.bodies.agents.varied_bodies import Draws, place_of, size_of
-from antdsl.bodies.skinned_mesh import of_channels, weights_of
+from antdsl.bodies.agents.varied_bodies import VariationDraws, colour_position, size_of
+from antdsl.bodies.skinned_mesh import channels_only, weights_of
 from antdsl.numerics.vector_rows import unit_or
 from antdsl.outputs.cache.pose_arrays import clips_playing, display_arrays, layers_worn, machine_clips, playing
 from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
-from antdsl.preview.timeline import Light, Posed
+from antdsl.preview.timeline import LightFrame, SpeciesPoses
 from antdsl.preview.viewing.bodies import Outfit, Traits, outfit, posed_body, traits
 from antdsl.runtime import Population, World
 from antdsl.runtime.feet.state import Feet
-from antdsl.runtime.feet.trunk import quaternions
+from antdsl.runtime.feet.trunk import slope_quaternions
 
 _LENGTH = 4096  # steps in a body's length
 _ONE = 32767
@@ -37,15 +37,15 @@ _FULL_SCALE = 65535  # one turn of a clip, or a weight of 1
 Arrays = dict[str, NDArray[Any]]
 
 
-def remember(session: Session) -> None:
+def store_poses(session: Session) -> None:
     """Store the poses of the session's frame with its light frame, once."""
     world, lights = session.world, session.light_at(session.frame)
     if lights is not None and session.frame not in session.timeline.poses:
-        poses = {name: _posed(session, each, lights[name]) for name, each in world.populations.items() if name in lights}
+        poses = {name: _species_poses(session, each, lights[name]) for name, each in world.populations.items() if name in lights}
         session.timeline.poses.put(session.frame, poses)
 
 
-def remembered(session: Session, frame: int) -> dict[str, Arrays]:
+def stored_poses(session: Session, frame: int) -> dict[str, Arrays]:
     """Return the stored actions of bodies at a frame, by species, if the species has the same bodies and clips now."""
     arrays_by_species = {}
     for name, then in session.timeline.poses.get(frame, {}).items():
@@ -55,12 +55,12 @@ def remembered(session: Session, frame: int) -> dict[str, Arrays]:
     return arrays_by_species
 
 
-def _posed(session: Session, population: Population, light: Light) -> Posed:
+def _species_poses(session: Session, population: Population, light: LightFrame) -> SpeciesPoses:
     worn = outfit(session.world, session.shot, population)
-    return Posed(worn, acts(session.world, session.shot, population, light))
+    return SpeciesPoses(worn, action_arrays(session.world, session.shot, population, light))
 
 
-def acts(world: World, shot: Shot, population: Population, light: Light) -> Arrays:
+def action_arrays(world: World, shot: Shot, population: Population, light: LightFrame) -> Arrays:
     """Return what bodies do, as arrays. `SPECIES/plays/MACHINE` of machines that play. For bodies with them, `SPECIES/wears`
     uint32[n] (a bit for each layer), `SPECIES/look/GROUP` int8[n, 3] (127 is 1) and `SPECIES/lean` the same (turn, slope, 0).
     `SPECIES/trait/K` float32[n, 3]: three of the values that bodies differ by, in order. `SPECIES/feet` and `SPECIES/stance`
@@ -72,13 +72,13 @@ def acts(world: World, shot: Shot, population: Population, light: Light) -> Arra
     machines = {each: clip for each, clip in clips_by_machine.items() if clip is not None}
     clips = [worn.definition.clips.get(clip) for clip, *_ in worn.plays]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
-    arrays: Arrays = {f"plays/{each}": packed(clip, loops) for each, clip in machines.items()}
+    arrays: Arrays = {f"plays/{each}": pack_clips(clip, loops) for each, clip in machines.items()}
     arrays |= _display_arrays(world, population, rows, worn)
-    arrays |= _differing(
-        world, population, rows, worn, (*posed_body(worn).idling(light.ids, world.frame * world.dt), *machines.values())
+    arrays |= _trait_arrays(
+        world, population, rows, worn, (*posed_body(worn).idle_clips(light.ids, world.frame * world.dt), *machines.values())
     )
     if name in world.feet and len(light.ids):
-        arrays |= _standing(world, name, worn, light, tuple(machines.values()))
+        arrays |= _stance_arrays(world, name, worn, light, tuple(machines.values()))
     return {f"{name}/{what}": array for what, array in arrays.items()}
 
 
@@ -101,21 +101,21 @@ def _display_arrays(world: World, population: Population, rows: NDArray[np.intp]
     return arrays
 
 
-def _differing(
+def _trait_arrays(
     world: World, population: Population, rows: NDArray[np.intp], worn: Outfit, machines: tuple[MachineClips, ...]
 ) -> Arrays:
     differ, varied = traits(worn), worn.definition.variation
     if not differ.count or not len(rows):
         return {}
-    draws = Draws(population.ids[rows], world.setting.seed, population.name)
+    draws = VariationDraws(population.ids[rows], world.setting.seed, population.name)
     trait_values = np.zeros((len(rows), -(-differ.count // 3) * 3), np.float32)
     parts = [size_of(varied, name, draws) for name in differ.scales]
-    parts += [place_of(varied, name, draws) for name in differ.materials]
+    parts += [colour_position(varied, name, draws) for name in differ.materials]
     first = len(differ.targets)
     if first:
         stored_arrays = display_arrays(population, world.setting, rows)
         said = {each: stored_arrays[f"channels.{population.name}.{each}"] for each in population.plan.channels}
-        trait_values[:, :first] = blended_by(
+        trait_values[:, :first] = blend_weights(
             worn, differ, machines, len(rows), said, stored_arrays.get(f"leans.{population.name}")
         )
     for k, part in enumerate(parts, first):
@@ -123,7 +123,7 @@ def _differing(
     return {f"trait/{k}": trait_values[:, 3 * k : 3 * k + 3] for k in range(trait_values.shape[1] // 3)}
 
 
-def blended_by(
+def blend_weights(
     worn: Outfit,
     differ: Traits,
     machines: Sequence[MachineClips],
@@ -134,31 +134,31 @@ def blended_by(
     """Return the weights of blend-shape targets of each agent, float32[n, T], from the clips that they play and the values of
     channels."""
     table, groups = channel_table(worn.definition)
-    plays = (*worn.plays, Played(worn.definition.idle))
-    poses = posed(table, groups, machines_playing(table, plays, machines, count, lean))
+    plays = (*worn.plays, PlayedClip(worn.definition.idle))
+    poses = posed(table, groups, playing_of_machines(table, plays, machines, count, lean))
     return weights_of(differ.targets, table.rig, with_channels(table, poses, said).channels)
 
 
 @lru_cache(maxsize=8)
 def channel_table(definition: Definition) -> tuple[ClipTable, Mapping[str, TransformGroup]]:
-    alone = of_channels(definition)
+    alone = channels_only(definition)
     return clip_table(alone), alone.groups
 
 
-def _standing(world: World, name: str, worn: Outfit, light: Light, machines: tuple[MachineClips, ...]) -> Arrays:
+def _stance_arrays(world: World, name: str, worn: Outfit, light: LightFrame, machines: tuple[MachineClips, ...]) -> Arrays:
     body = posed_body(worn)
     if body.legs is None:
         return {}
-    played = (*body.idling(light.ids, world.frame * world.dt), *machines)
-    stands = body.legs.stance_weights((*worn.plays, Played(worn.definition.idle)), played, len(light.ids))
-    return dict(stances(body.legs, world.feet[name], light, stands))
+    played = (*body.idle_clips(light.ids, world.frame * world.dt), *machines)
+    stands = body.legs.stance_weights((*worn.plays, PlayedClip(worn.definition.idle)), played, len(light.ids))
+    return dict(stance_arrays(body.legs, world.feet[name], light, stands))
 
 
-def packed(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
+def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
     """Return the clips that one machine of n agents plays, uint16[n, 3, k]: numbers, progress, and weights of the clip and the
     previous one. k is 2, or 3 if any agent still plays the clip before the previous one. `loops`: whether each clip of the
     species loops, and False for none. A clip that does not loop ends with its last sample."""
-    slots = list(clips.slots())[::-1]
+    slots = list(clips.clip_slots())[::-1]
     if not slots[-1][2].any():
         slots.pop()
     output = np.empty((len(clips.clip), 3, len(slots)), np.uint16)
@@ -172,7 +172,7 @@ def packed(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:
     return output
 
 
-def stances(legs: Legs, feet: Feet, light: Light, stands: Floats) -> dict[str, NDArray[np.int16]]:
+def stance_arrays(legs: Legs, feet: Feet, light: LightFrame, stands: Floats) -> dict[str, NDArray[np.int16]]:
     """Return the stances of bodies as integers, with two arrays.
 
     `feet` int16[n, L, 3]: where each foot joint is to be relative to a body with an unmoved trunk, 4096 to a body's length,
@@ -185,23 +185,23 @@ def stances(legs: Legs, feet: Feet, light: Light, stands: Floats) -> dict[str, N
     Bodies stand as pages turn them, by directions of three bytes, so that a standing foot does not shake with these."""
     size = np.where(light.size > 0, light.size, 1).astype(np.float32)
     rise = feet.rise / size * stands
-    tilt = quaternions(feet.slope) * stands[:, None]
+    tilt = slope_quaternions(feet.slope) * stands[:, None]
     tilt[:, 3] += 1 - stands
     tilt /= np.maximum(np.linalg.norm(tilt, axis=1, keepdims=True), 1e-20)
     stance = np.empty((len(stands), 6), np.int16)
-    stance[:, 0] = _steps(rise, _LENGTH)
-    stance[:, 1:4] = _steps(tilt[:, :3], _ONE)  # by less than half a turn, so that w is above 0
-    stance[:, 4] = _steps(stands, _ONE)
-    is_down = feet.down[:, :_DOWN]
+    stance[:, 0] = _quantise(rise, _LENGTH)
+    stance[:, 1:4] = _quantise(tilt[:, :3], _ONE)  # by less than half a turn, so that w is above 0
+    stance[:, 4] = _quantise(stands, _ONE)
+    is_down = feet.is_standing[:, :_DOWN]
     stance[:, 5] = (is_down << np.arange(is_down.shape[1])).sum(axis=1)
     away = (feet.shown - light.position.T[:, :, None]).astype(np.float32) / size[None, :, None]
-    place = _turned_back(_frames(light), away)
+    place = _rotate_back(_body_axes(light), away)
     place[1] += legs.soles[None] - rise[:, None]
-    goals = _turned_back(_rotations(tilt), place)
-    return {"feet": _steps(goals.transpose(1, 2, 0), _LENGTH), "stance": stance}
+    goals = _rotate_back(_rotations(tilt), place)
+    return {"feet": _quantise(goals.transpose(1, 2, 0), _LENGTH), "stance": stance}
 
 
-def _frames(light: Light) -> Floats:
+def _body_axes(light: LightFrame) -> Floats:
     """Return the columns forward, up and sideways of agents, float32[3, 3, n], computed as pages do."""
     up = unit_or(light.up.astype(np.float64), np.array([0.0, 1.0, 0.0])).astype(np.float32)
     ahead = light.heading.astype(np.float32)
@@ -221,12 +221,12 @@ def _rotations(turn: Floats) -> Floats:
     return np.stack([np.stack(row) for row in rows]).astype(np.float32)
 
 
-def _turned_back(matrices: Floats, points: Floats) -> Floats:
+def _rotate_back(matrices: Floats, points: Floats) -> Floats:
     """Places float32[3, n, L] by the transposes of matrices [3, 3, n]."""
     x, y, z = points
     return np.stack([(m[0][:, None] * x + m[1][:, None] * y) + m[2][:, None] * z for m in matrices.transpose(1, 0, 2)])
 
 
-def _steps(values: NDArray[Any], full_scale: int) -> NDArray[np.int16]:
+def _quantise(values: NDArray[Any], full_scale: int) -> NDArray[np.int16]:
     steps: NDArray[np.int16] = np.clip(np.rint(np.nan_to_num(values) * np.float32(full_scale)), -32767, 32767).astype(np.int16)
     return steps

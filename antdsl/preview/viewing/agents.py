@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.outputs.feelers import feelers_of, rays
+from antdsl.outputs.feelers import feeler_rays, feelers_of
 from antdsl.plan.ir import Plan
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.timeline import Light
-from antdsl.preview.viewing.acting import acts, remember, remembered
+from antdsl.preview.timeline import LightFrame
+from antdsl.preview.viewing.acting import action_arrays, store_poses, stored_poses
 from antdsl.preview.viewing.seen import Interest, Packets, ViewState
-from antdsl.preview.viewing.units import unit_for, worth
+from antdsl.preview.viewing.units import base_units, unit_for
 from antdsl.program.model import Program
 from antdsl.runtime import Population, World
 from antdsl.runtime.world import AXES
@@ -23,7 +23,7 @@ _MISSING_STATE = 255
 Arrays = dict[str, NDArray[Any]]
 
 
-class Agents:
+class AgentPackets:
     """The slot `frame`. Directions are unit vectors times 127, speeds mm/s, columns in the unit that the scene message names."""
 
     def __init__(self) -> None:
@@ -39,26 +39,26 @@ class Agents:
             lights = view_state.session.light_at(view_state.light)
             if lights is not None:
                 plan = view_state.session.timeline.at(view_state.light).shot.plan
-                light = _renumbered(_remembered(lights), plan, view_state.shot.plan)
-                for pose_arrays in remembered(view_state.session, view_state.light).values():
+                light = _renumber_states(_stored_arrays(lights), plan, view_state.shot.plan)
+                for pose_arrays in stored_poses(view_state.session, view_state.light).values():
                     light |= pose_arrays
                 yield "frame", pack("frame", light, frame=view_state.light, light=True)
             return
         arrays: Arrays = {}
         factors = _factors(world, view_state.shot.program, view_state.interest)
-        remember(view_state.session)
+        store_poses(view_state.session)
         lights = view_state.session.light_at(world.frame) or {}  # what is remembered of it was just made of it
-        poses = remembered(view_state.session, world.frame)
+        poses = stored_poses(view_state.session, world.frame)
         for name, population in world.populations.items():
-            then = lights[name] if name in lights else Light.of(population)
-            arrays |= _remembered({name: then}) | _now(population, factors)
-            arrays |= poses[name] if name in poses else acts(world, view_state.shot, population, then)
+            then = lights[name] if name in lights else LightFrame.of(population)
+            arrays |= _stored_arrays({name: then}) | _current_arrays(population, factors)
+            arrays |= poses[name] if name in poses else action_arrays(world, view_state.shot, population, then)
         arrays |= _items(world, view_state.shot.program)
-        feelers, feeler_owners = _feelers(world, view_state.shot.program, view_state.interest)
+        feelers, feeler_owners = _followed_feelers(world, view_state.shot.program, view_state.interest)
         yield "frame", pack("frame", arrays | feelers, frame=world.frame, light=False, felt=feeler_owners)
 
 
-def _now(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
+def _current_arrays(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
     """What is not remembered of a frame."""
     name, now, rows = population.name, population.now, population.in_id_order()
     arrays: Arrays = {f"{name}/speed": _speed(population)[rows], f"{name}/born": population.born[rows].astype(np.int32)}
@@ -80,11 +80,11 @@ def _factors(world: World, program: Program, interest: Interest) -> dict[tuple[s
     for species, name in sorted(interest.columns):
         declared = {each.name: each for each in program.species[species].attributes} if species in program.species else {}
         if name in declared and species in world.populations and name in world.populations[species].now:
-            factors[species, name] = 1 / worth(unit_for(declared[name]), world.setting.unit_mm, world.dt)
+            factors[species, name] = 1 / base_units(unit_for(declared[name]), world.setting.unit_mm, world.dt)
     return factors
 
 
-def _feelers(world: World, program: Program, interest: Interest) -> tuple[Arrays, list[tuple[str, int, int]]]:
+def _followed_feelers(world: World, program: Program, interest: Interest) -> tuple[Arrays, list[tuple[str, int, int]]]:
     """Return the feelers of all followed agents, one after the other, and the agents, with how many each has."""
     feelers = [(who, feeler_arrays(world, program, who.species, who.agent)) for who in interest.followed]
     feelers = [(who, arrays) for who, arrays in feelers if arrays]
@@ -99,12 +99,12 @@ def _items(world: World, program: Program) -> Arrays:
         arrays[f"item/{name}/size"] = items.visible_values["radius"]
         for declared in program.world[name].attributes:
             if declared.name in items.amounts:
-                one = worth(unit_for(declared), world.setting.unit_mm, world.dt)
+                one = base_units(unit_for(declared), world.setting.unit_mm, world.dt)
                 arrays[f"item/{name}/amount/{declared.name}"] = (items.amounts[declared.name] / one).astype(np.float32)
     return arrays
 
 
-def _renumbered(arrays: Arrays, then: Plan, now: Plan) -> Arrays:
+def _renumber_states(arrays: Arrays, then: Plan, now: Plan) -> Arrays:
     """Return the states renumbered from the remembered program to the one that pages know; 255 for states that it does not
     have."""
     for name, species in then.species.items() if then is not now else ():
@@ -116,7 +116,7 @@ def _renumbered(arrays: Arrays, then: Plan, now: Plan) -> Arrays:
     return arrays
 
 
-def _remembered(lights: Mapping[str, Light]) -> Arrays:
+def _stored_arrays(lights: Mapping[str, LightFrame]) -> Arrays:
     arrays: Arrays = {}
     for name, light in lights.items():
         arrays |= {f"{name}/id": light.ids.astype(np.int32), f"{name}/position": light.position}
@@ -140,7 +140,7 @@ def feeler_arrays(world: World, program: Program, species: str, agent: int) -> d
     feelers = feelers_of(program, species, world.params, world.setting.unit_mm, world.dt)
     if not feelers:
         return {}
-    lines = np.concatenate([rays(entry, position, ahead, up, size) for entry in feelers]) / scale
+    lines = np.concatenate([feeler_rays(entry, position, ahead, up, size) for entry in feelers]) / scale
     displacement = lines[:, 1] - lines[:, 0]
     reach = np.sqrt((displacement * displacement).sum(axis=1))
     unit = (displacement / np.maximum(reach, 1e-12)[:, None]).astype(np.float32)
@@ -148,7 +148,7 @@ def feeler_arrays(world: World, program: Program, species: str, agent: int) -> d
     nearest = np.full(len(lines), np.inf, np.float32)
     (x, y, z), (dx, dy, dz) = start.T, unit.T
     for name in world.plan.of_kind("obstacle", "solid"):
-        hits = world.obstacles[name].feelers(x, y, z, dx, dy, dz, reach.astype(np.float32))
+        hits = world.obstacles[name].cast_feelers(x, y, z, dx, dy, dz, reach.astype(np.float32))
         nearest = np.minimum(nearest, np.where(hits.hit, hits.t, np.inf))
     hit = np.isfinite(nearest)
     lines[hit, 1] = start[hit] + unit[hit] * nearest[hit, None]

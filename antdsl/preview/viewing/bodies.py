@@ -14,26 +14,26 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.definition import Definition
 from antdsl.bodies.agents.driving import look_shares
 from antdsl.bodies.agents.leg_ik import BENDING, Legs
-from antdsl.bodies.agents.machine_clips import Played
+from antdsl.bodies.agents.machine_clips import PlayedClip
 from antdsl.bodies.agents.poses import ClipTable, clip_table
 from antdsl.bodies.agents.varied_bodies import scaled_joints
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
-from antdsl.bodies.shapes import placed, shape_of
-from antdsl.bodies.skinned_mesh import Target, blend_targets
+from antdsl.bodies.shapes import item_shape, placed
+from antdsl.bodies.skinned_mesh import BlendTarget, blend_targets
 from antdsl.outputs.cache.pose_arrays import layers_worn, playing
 from antdsl.pipeline import Shot
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.seen import Packets, ViewState
 from antdsl.runtime import Population, World
-from antdsl.scene.library_bodies import BODY_WORDS, body_of
+from antdsl.scene.library_bodies import BODY_WORDS, body_for_species
 
 Arrays = dict[str, NDArray[Any]]
 MOST_LAYERS = 24  # that pages tell apart: whole numbers of so many bits are exact in float32
 MOST_TARGETS = 48  # of blend shapes, that pages know
 
 
-class Rigs:
+class RigPackets:
     """The slots `rig:SPECIES`. Sent again if the body of a species, or the clips that it plays, changed."""
 
     def __init__(self) -> None:
@@ -53,7 +53,7 @@ class Outfit:
     wear in addition to the body's own, and the transform groups of `look`. Also, whether clips blend with turn and slope."""
 
     definition: Definition
-    plays: tuple[Played, ...] = ()
+    plays: tuple[PlayedClip, ...] = ()
     layers: tuple[str, ...] = ()
     looks: tuple[str, ...] = ()
     leans: bool = False
@@ -64,7 +64,7 @@ def outfit(world: World, shot: Shot, population: Population) -> Outfit:
     plan, definition = population.plan, body_of_species(shot, population.name)
     layers = tuple(name for name in layers_worn(population, world.setting) if name in definition.layers)[:MOST_LAYERS]
     looks = tuple(name for name in plan.looks if name in definition.groups)
-    plays = tuple(Played(each.name, each.on, each.add, each.left, each.right, each.up, each.down) for each in plan.clips)
+    plays = tuple(PlayedClip(each.name, each.on, each.add, each.left, each.right, each.up, each.down) for each in plan.clips)
     return Outfit(definition, plays, layers, looks, "lean:turn" in plan.registers)
 
 
@@ -86,7 +86,7 @@ class Traits:
     """The traits in which bodies of agents differ apart from clips, each a number: weights of blend-shape targets, sizes of
     transform groups, and the position of each material in its range of colours."""
 
-    targets: tuple[Target, ...] = ()
+    targets: tuple[BlendTarget, ...] = ()
     scales: tuple[str, ...] = ()
     materials: tuple[str, ...] = ()
 
@@ -108,7 +108,7 @@ def _levels(worn: Outfit) -> dict[str, PosedBody]:
     return {"low": body.coarse, "fine": body.fine}
 
 
-def _targets(level: PosedBody) -> dict[Target, NDArray[np.float32]]:
+def _targets(level: PosedBody) -> dict[BlendTarget, NDArray[np.float32]]:
     return blend_targets(level.shaded, level.bindings, level.taken)
 
 
@@ -117,29 +117,29 @@ def _rig(worn: Outfit) -> tuple[Arrays, dict[str, Any]]:
     definition, plays = worn.definition, worn.plays
     body, table = posed_body(worn), clip_table(definition)
     idle = definition.clips.get(definition.idle)
-    arrays = _clips(table, definition, plays if idle is None else (*plays, Played(definition.idle)))
+    arrays = _clips(table, definition, plays if idle is None else (*plays, PlayedClip(definition.idle)))
     arrays |= _legs(body.legs, table)
-    arrays["look"] = _by_depth(table, [look_shares(table.rig, definition.groups[name]) for name in worn.looks])
+    arrays["look"] = _weights_by_depth(table, [look_shares(table.rig, definition.groups[name]) for name in worn.looks])
     differ = traits(worn)
     arrays |= _variation(definition, differ, table)
     for level, each in _levels(worn).items():
-        mesh_arrays = _mesh(each, table) | _varied(each, differ)
+        mesh_arrays = _mesh(each, table) | _trait_vertex_arrays(each, differ)
         arrays |= {f"{level}/{name}": array for name, array in mesh_arrays.items()}
     return arrays, {
-        "joints": len(table.order), "texels": _texels(table), "length": float(definition.length),
-        "base": [round(float(x), 9) for x in definition.base()[:3].reshape(-1)], "bending": BENDING,
+        "joints": len(table.order), "texels": _texel_count(table), "length": float(definition.length),
+        "base": [round(float(x), 9) for x in definition.base_matrix()[:3].reshape(-1)], "bending": BENDING,
         "idle": [] if idle is None or idle.duration <= 0 else [len(plays), idle.duration],
         "looks": list(worn.looks), "leans": worn.leans, "traits": differ.count, "targets": len(differ.targets),
     }  # fmt: skip
 
 
-def _texels(table: ClipTable) -> int:
+def _texel_count(table: ClipTable) -> int:
     """Return the number of texels (four numbers each) per joint and sample: translation, rotation, and scale and shear if there
     are any."""
     return 2 + table.scaled + table.sheared
 
 
-def _clips(table: ClipTable, definition: Definition, plays: tuple[Played, ...]) -> Arrays:
+def _clips(table: ClipTable, definition: Definition, plays: tuple[PlayedClip, ...]) -> Arrays:
     """Return the arrays of the clips.
 
     - `sample` float32[R, J, texels, 4]: the rest pose first.
@@ -162,13 +162,13 @@ def _clips(table: ClipTable, definition: Definition, plays: tuple[Played, ...]) 
         blend_ranges = [number for blend_clip in each[3:] for number in clip_ranges.get(blend_clip, (-1, 1))]
         clips.append((first, length, int(again) + 2 * int(each.add), groups.index(each.on), *blend_ranges))
     rows = table.samples[np.concatenate(sample_rows)]
-    sample = np.zeros((len(rows), joints, _texels(table), 4), np.float32)
+    sample = np.zeros((len(rows), joints, _texel_count(table), 4), np.float32)
     at = 0
     for texel, width in enumerate((3, 4, *([3] if table.scaled else []), *([3] if table.sheared else []))):
         part = rows[:, at : at + width * joints].reshape(len(rows), width, joints)
         sample[:, :, texel, :width] = part.transpose(0, 2, 1)
         at += width * joints
-    place = _depths(table)
+    place = _depth_order(table)
     parents = np.asarray(table.rig.parents)[table.order]
     ones = np.ones(joints, np.float32)
     weights = [ones if not name else table.weights(definition.groups[name])[0] for name in groups]
@@ -180,7 +180,7 @@ def _clips(table: ClipTable, definition: Definition, plays: tuple[Played, ...]) 
     }
 
 
-def _by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, float]]]) -> NDArray[np.float32]:
+def _weights_by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, float]]]) -> NDArray[np.float32]:
     """Return the joint weights of G groups as float32[G, J], joints by depth. The input has joints by number."""
     weights = np.zeros((len(groups), len(table.order)), np.float32)
     for k, group in enumerate(groups):
@@ -192,14 +192,14 @@ def _by_depth(table: ClipTable, groups: Sequence[Iterable[tuple[int, float]]]) -
 def _variation(definition: Definition, differ: Traits, table: ClipTable) -> Arrays:
     """`scale` float32[S, J]: by how much of a group's size each joint and all that hangs on it is scaled, joints by depth;
     `palette` float32[c, 4]: the colours of materials that vary, one material after the other."""
-    scale = _by_depth(table, [scaled_joints(table.rig, definition.groups[name]) for name in differ.scales])
+    scale = _weights_by_depth(table, [scaled_joints(table.rig, definition.groups[name]) for name in differ.scales])
     colours = [colour for name in differ.materials for colour in definition.variation.materials[name]]
     palette = np.zeros((len(colours), 4), np.float32)
     palette[:, :3] = np.array(colours, np.float32).reshape(-1, 3)
     return {"scale": scale, "palette": palette}
 
 
-def _varied(level: PosedBody, differ: Traits) -> Arrays:
+def _trait_vertex_arrays(level: PosedBody, differ: Traits) -> Arrays:
     """Return `target` float32[T, v, 6]: the offsets of each blend-shape target to positions and normals. Also `paint` float32[v,
     2]: the trait that selects a vertex's colour (-1 if it does not vary), and the first of its colours."""
     targets, count = _targets(level), len(level.mesh.points)
@@ -212,7 +212,7 @@ def _varied(level: PosedBody, differ: Traits) -> Arrays:
     return {"target": np.array([targets.get(each, none) for each in differ.targets], np.float32), "paint": paint}
 
 
-def _depths(table: ClipTable) -> NDArray[np.int32]:
+def _depth_order(table: ClipTable) -> NDArray[np.int32]:
     """Return the index of each joint of the rig in the order by depth."""
     place = np.empty(len(table.order), np.int32)
     place[table.order] = np.arange(len(table.order))
@@ -223,13 +223,13 @@ def _legs(legs: Legs | None, table: ClipTable) -> Arrays:
     """`leg` float32[L, 2, 4]: hip, knee and foot, joints by depth, and the axis about which a straight knee bends."""
     if legs is None:
         return {}
-    leg_array, place = np.zeros((legs.count, 2, 4), np.float32), _depths(table)
+    leg_array, place = np.zeros((legs.count, 2, 4), np.float32), _depth_order(table)
     leg_array[:, 0, :3] = [place[[each.upper, each.lower, each.foot]] for each in legs.chains]
     leg_array[:, 1, :3] = legs.straight_axes()
     return {"leg": leg_array}
 
 
-def _parts(legs: Legs | None, joints: int) -> NDArray[np.int32]:
+def _leg_parts(legs: Legs | None, joints: int) -> NDArray[np.int32]:
     """Return the leg part of each joint of the rig: three times the leg plus 1 for thigh, 2 for shank, 3 for foot; 0 for none."""
     part_numbers = np.zeros(joints, np.int32)
     for number, each in enumerate(legs.chains if legs is not None else ()):
@@ -246,7 +246,7 @@ def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
     - `bone` uint8 or uint16[v, 4]; `weight` uint8[v, 4].
     - `joint` int32[B] by depth and `inverse` float32[B, 3, 4] of the bones."""
     mesh = body.mesh
-    place = np.append(_depths(table), -1)  # of a bone without a joint: -1
+    place = np.append(_depth_order(table), -1)  # of a bone without a joint: -1
     colour = np.sqrt(np.clip(np.column_stack([body.own, np.square(body.tint)]), 0, 1))
     return {
         "position": mesh.points,
@@ -256,7 +256,7 @@ def _mesh(body: PosedBody, table: ClipTable) -> Arrays:
         "bone": mesh.bones.astype(np.uint16),
         "weight": mesh.weights,
         "joint": place[mesh.joint].astype(np.int32),
-        "part": np.append(_parts(body.legs, len(table.order)), 0)[mesh.joint].astype(np.int32),
+        "part": np.append(_leg_parts(body.legs, len(table.order)), 0)[mesh.joint].astype(np.int32),
         "inverse": mesh.inverse,
         "layer": body.masks.astype(np.uint32),
     }
@@ -268,10 +268,10 @@ def body_of_species(shot: Shot, species: str) -> Definition:
     if own is not None:
         return own
     requested_body = next((line.body for line in shot.scene.model.crowd if line.species == species), None)
-    return library_body(requested_body if requested_body in BODY_WORDS else body_of(species))
+    return library_body(requested_body if requested_body in BODY_WORDS else body_for_species(species))
 
 
-class ItemBodies:
+class ItemBodyPackets:
     """The slots `item:ITEMS:NAME`. Items that are places and no things have no body."""
 
     def __init__(self) -> None:
@@ -283,7 +283,7 @@ class ItemBodies:
                 if (kind, name, index) in self._given:
                     continue
                 self._given.add((kind, name, index))
-                shape = shape_of(kind, name)
+                shape = item_shape(kind, name)
                 if shape == "none":
                     continue
                 vertices, faces, colour = placed(shape)

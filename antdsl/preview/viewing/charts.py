@@ -17,27 +17,27 @@ class Charts:
         self.need = ""
         self._laid: dict[Chart, PlacedChart] = {}
 
-    def known(self, program: Program) -> bool:
+    def is_laid_out(self, program: Program) -> bool:
         """Return whether the existing layouts cover the charts of a program."""
-        return all(_plain(chart) in self._laid for chart in graphs.charts(program))
+        return all(_without_positions(chart) in self._laid for chart in graphs.charts(program))
 
     def of(self, program: Program) -> list[dict[str, Any]]:
         machines = [(name, m.name) for name, species in program.species.items() for m in species.machines if m.states]
         charts = graphs.charts(program)
-        missing = [plain for chart in charts if (plain := _plain(chart)) not in self._laid]
+        missing = [plain for chart in charts if (plain := _without_positions(chart)) not in self._laid]
         placed, report = graphs.lay_out(list(dict.fromkeys(missing)))
         if not report.ok:
             self.need = f"{report.errors[0].message}: {report.errors[0].help}"
             return []
         self._laid |= {each.chart: each for each in placed}
-        self._laid = {plain: self._laid[plain] for plain in map(_plain, charts)}
+        self._laid = {plain: self._laid[plain] for plain in map(_without_positions, charts)}
         return [
-            _chart_message(species, machine, chart, self._laid[_plain(chart)])
+            _chart_message(species, machine, chart, self._laid[_without_positions(chart)])
             for (species, machine), chart in zip(machines, charts, strict=True)
         ]
 
 
-def _plain(chart: Chart) -> Chart:
+def _without_positions(chart: Chart) -> Chart:
     """Return a chart without its positions in the file: the input of a layout."""
     boxes = tuple(replace(box, details="", colour=(0.0, 0.0, 0.0)) for box in chart.boxes)
     return replace(chart, boxes=boxes, arrows=tuple(replace(arrow, details="") for arrow in chart.arrows))

@@ -25,10 +25,10 @@ class SentCurves:
         if self._upto is not None and self._upto >= frame:
             self._upto = frame - 1
 
-    def news(self, timeline: Timeline) -> dict[str, Any] | None:
+    def new_values(self, timeline: Timeline) -> dict[str, Any] | None:
         """Return what pages do not have yet, or None."""
         if timeline is not self._timeline or timeline.branches != self._branches or self._upto is None:
-            return self.all_of_it(timeline)
+            return self.full_history(timeline)
         fresh = []
         for frame in reversed(timeline.curves):
             if frame <= self._upto:
@@ -38,24 +38,26 @@ class SentCurves:
             return None
         again = fresh[-1] <= self._had
         self._upto = self._had = max(fresh)
-        return _message(again, {frame: timeline.curves[frame] for frame in reversed(fresh)}, None)
+        return _curves_message(again, {frame: timeline.curves[frame] for frame in reversed(fresh)}, None)
 
-    def all_of_it(self, timeline: Timeline) -> dict[str, Any]:
+    def full_history(self, timeline: Timeline) -> dict[str, Any]:
         """Return the whole history with its branches, and mark it as sent."""
         self._timeline, self._branches = timeline, list(timeline.branches)
-        self._upto = self._had = timeline.head
+        self._upto = self._had = timeline.last_frame
         branches = [
-            {"first": branch.first, "line": branch.line, **_columns(thinned(branch.curves, _BESIDE))}
+            {"first": branch.first, "line": branch.line, **_curve_columns(thin_curves(branch.curves, _BESIDE))}
             for branch in timeline.branches
         ]
-        return _message(True, thinned(timeline.curves, _MOST), branches)
+        return _curves_message(True, thin_curves(timeline.curves, _MOST), branches)
 
 
-def _message(reset: bool, curves: Mapping[int, Mapping[str, float]], branches: list[dict[str, Any]] | None) -> dict[str, Any]:
-    return {"op": "curves", "reset": reset, **_columns(curves), "branches": branches}
+def _curves_message(
+    reset: bool, curves: Mapping[int, Mapping[str, float]], branches: list[dict[str, Any]] | None
+) -> dict[str, Any]:
+    return {"op": "curves", "reset": reset, **_curve_columns(curves), "branches": branches}
 
 
-def _columns(curves: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
+def _curve_columns(curves: Mapping[int, Mapping[str, float]]) -> dict[str, Any]:
     """Return one list per name, with null for frames that lack the number."""
     names = dict.fromkeys(name for values in curves.values() for name in values)
     return {
@@ -68,7 +70,7 @@ def _finite_or_none(value: float | None) -> float | None:
     return None if value is None or not math.isfinite(value) else round(value, 6)
 
 
-def thinned(curves: Mapping[int, Mapping[str, float]], most: int) -> Mapping[int, Mapping[str, float]]:
+def thin_curves(curves: Mapping[int, Mapping[str, float]], most: int) -> Mapping[int, Mapping[str, float]]:
     """Return at most `most` of the curves' frames, evenly spaced, including the last."""
     if len(curves) <= most:
         return curves

@@ -34,15 +34,15 @@ def full(limit: float) -> float:
     return float(limit) if np.isfinite(limit) and limit > 1e-3 else _FULL
 
 
-def in_bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
+def to_bytes(values: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Return values on a logarithmic scale with steps of 16 %; 0 for values below `LEAST`."""
     is_present = values >= LEAST
     level = 1 + np.log10(np.where(is_present, values, LEAST) / LEAST) * (254 / DECADES)
     return np.where(is_present, np.clip(np.rint(level), 1, 255), 0).astype(np.uint8)
 
 
-class Fields:
-    """The slots `fieldmesh:NAME` and `field:NAME`: a byte a vertex, see `in_bytes`."""
+class FieldPackets:
+    """The slots `fieldmesh:NAME` and `field:NAME`: a byte a vertex, see `to_bytes`."""
 
     def __init__(self) -> None:
         self._world: World | None = None
@@ -72,15 +72,15 @@ class Fields:
             return
         self._last = view_state.now
         for name in field_names:
-            yield from self._field(view_state, name)
+            yield from self._field_packets(view_state, name)
 
-    def _field(self, view_state: ViewState, name: str) -> Packets:
+    def _field_packets(self, view_state: ViewState, name: str) -> Packets:
         world, field = view_state.world, view_state.world.fields[name]
         made_of, count, when = self._cells.get(name, (None, 0, -_MESH_EVERY))
-        grown = count != cells_in_use(field) and (view_state.now - when >= _MESH_EVERY or not view_state.going)
+        grown = count != count_used_cells(field) and (view_state.now - when >= _MESH_EVERY or not view_state.going)
         if made_of is not field.cells or grown:
-            mesh = field_mesh(world, name)
-            self._meshes[name], self._cells[name] = mesh, (field.cells, cells_in_use(field), view_state.now)
+            mesh = make_field_mesh(world, name)
+            self._meshes[name], self._cells[name] = mesh, (field.cells, count_used_cells(field), view_state.now)
             self._shown.pop(name, None)
         if self._shown.get(name) == world.frame:
             return
@@ -89,12 +89,12 @@ class Fields:
             slot = f"fieldmesh:{name}"
             yield slot, pack(slot, {"position": mesh.vertex_positions(world), "face": mesh.face})
         self._shown[name] = world.frame
-        value = in_bytes(mesh.vertex_values(field.values))
+        value = to_bytes(mesh.vertex_values(field.values))
         yield f"field:{name}", pack(f"field:{name}", {"value": value}, frame=world.frame)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Carried:
+class MovingVertices:
     """Vertices from `first` on that lie on a mesh that moves: in its triangles `corner` int64 (k, 3), by weights (k, 3)."""
 
     mesh: str
@@ -112,7 +112,7 @@ class FieldMesh:
     face: NDArray[np.uint32]
     cell: NDArray[np.int64]
     share: NDArray[np.float32]
-    carried: tuple[Carried, ...] = ()
+    carried: tuple[MovingVertices, ...] = ()
 
     def vertex_positions(self, world: World) -> NDArray[np.float32]:
         """Where the vertices are at the world's frame."""
@@ -128,22 +128,22 @@ class FieldMesh:
         return result
 
 
-def cells_in_use(field: Any) -> int:
+def count_used_cells(field: Any) -> int:
     """Return the number of cells that have a position. The arrays of a diggable ground have spare cells."""
     return field.cells.used if isinstance(field.cells, GrowingCells) else len(field.cells)
 
 
-def field_mesh(world: World, name: str) -> FieldMesh:
+def make_field_mesh(world: World, name: str) -> FieldMesh:
     """The mesh of a field as the world stands."""
     cells = world.fields[name].cells
-    count = cells_in_use(world.fields[name])
+    count = count_used_cells(world.fields[name])
     positions, normals = cells.position[:count], cells.normal[:count]
-    points, faces, carried, edge = _ground(world, name, cells.cell)
+    points, faces, carried, edge = _cut_ground(world, name, cells.cell)
     if len(points) and count:
         from scipy.spatial import cKDTree
 
         point_normals = vertex_normals(points, faces.astype(np.int32)).astype(np.float64)
-        near, share = _mixed(points, point_normals, positions, normals, cells.cell)
+        near, share = _mix_cells(points, point_normals, positions, normals, cells.cell)
         lone = np.flatnonzero(cKDTree(points).query(positions)[0] > _BESIDE * max(cells.cell, edge))
     else:
         near, share, lone = np.empty((0, _NEAREST), np.int64), np.empty((0, _NEAREST)), np.arange(count)
@@ -158,7 +158,7 @@ def field_mesh(world: World, name: str) -> FieldMesh:
     )
 
 
-def _ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[np.int64], tuple[Carried, ...], float]:
+def _cut_ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[np.int64], tuple[MovingVertices, ...], float]:
     """Return the field's meshes at the first frame, cut to edges of about one cell; their moving vertices; the longest edge."""
     requested_names, setting = world.plan.fields[name].surfaces, world.setting
     mesh_names = [each for each in setting.surfaces if not requested_names or each in requested_names]
@@ -168,9 +168,9 @@ def _ground(world: World, name: str, cell: float) -> tuple[Floats, NDArray[np.in
     edge = max(cell, float(np.sqrt(area / (0.5 * _MOST))))
     parts, carried, first = [], [], 0
     for each, vertices, triangles in zip(mesh_names, rest, faces, strict=True):
-        points, cut, of = _cut(vertices, triangles, edge)
+        points, cut, of = _cut_mesh(vertices, triangles, edge)
         if each in setting.moves.meshes:
-            carried.append(_carried(each, first, points, cut, of, vertices, triangles))
+            carried.append(_moving_vertices(each, first, points, cut, of, vertices, triangles))
         parts.append((points, cut + first))
         first += len(points)
     if not parts:
@@ -183,7 +183,7 @@ def _area(vertices: Floats, faces: NDArray[np.int64]) -> float:
     return float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2)
 
 
-def _cut(vertices: Floats, faces: NDArray[np.int64], edge: float) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
+def _cut_mesh(vertices: Floats, faces: NDArray[np.int64], edge: float) -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
     """Return vertices and faces of the refined mesh, and the original face of each new face."""
     from trimesh.remesh import subdivide_to_size
 
@@ -191,7 +191,7 @@ def _cut(vertices: Floats, faces: NDArray[np.int64], edge: float) -> tuple[Float
     return np.asarray(points, np.float64), np.asarray(cut, np.int64), np.asarray(of, np.int64)
 
 
-def _carried(
+def _moving_vertices(
     name: str,
     first: int,
     points: Floats,
@@ -199,17 +199,17 @@ def _carried(
     of: NDArray[np.int64],
     vertices: Floats,
     faces: NDArray[np.int64],
-) -> Carried:
+) -> MovingVertices:
     """Return the vertices of a moving mesh: for each point a triangle that contains it, and its weights."""
     from trimesh.triangles import points_to_barycentric
 
     face = np.zeros(len(points), np.int64)
     face[cut] = of[:, None]
     weight = points_to_barycentric(vertices[faces[face]], points)  # type: ignore[no-untyped-call]
-    return Carried(name, first, faces[face], np.asarray(weight, np.float64))
+    return MovingVertices(name, first, faces[face], np.asarray(weight, np.float64))
 
 
-def _mixed(
+def _mix_cells(
     points: Floats, point_normals: Floats, positions: Floats, normals: Floats, cell: float
 ) -> tuple[NDArray[np.int64], Floats]:
     """Return the nearest cells of each point that face its side, and the share of each, which falls with distance."""

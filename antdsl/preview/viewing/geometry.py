@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from antdsl.ground.solid import Volume
-from antdsl.outputs.cache.solid_pieces import Piece, joined
+from antdsl.outputs.cache.solid_pieces import Piece, join_pieces
 from antdsl.outputs.flow_arrows import arrows
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.viewing.seen import Packets, ViewState
@@ -22,7 +22,7 @@ _EVERY = 0.1  # seconds between two showings while it plays
 _AGAIN = 1.0  # seconds after which flows that are solved while it runs are shown again
 
 
-class Meshes:
+class MeshPackets:
     """The slots `mesh:NAME`. A mesh that an edit left alone is not sent again."""
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class Meshes:
             for name, mesh in meshes.items():
                 if name in moves:
                     self._given[name] = None
-                elif not fresh or self._known(name, mesh, world):
+                elif not fresh or self._is_sent(name, mesh, world):
                     continue
                 vertices = vertices_at(world, name, world.frame) if name in moves else mesh.vertices - world.origin
                 slot = f"mesh:{name}"
@@ -57,7 +57,7 @@ class Meshes:
                     ),
                 )
 
-    def _known(self, name: str, mesh: MeshData, world: World) -> bool:
+    def _is_sent(self, name: str, mesh: MeshData, world: World) -> bool:
         previous, origin = self._given.get(name) or (None, b"")
         same = (
             previous is not None
@@ -71,7 +71,7 @@ class Meshes:
         return same
 
 
-class Curves:
+class CurvePackets:
     """The slots `curve:NAME`. Moving curves are sent in each frame."""
 
     def __init__(self) -> None:
@@ -94,7 +94,7 @@ class Curves:
             yield slot, pack(slot, {"point": (points - world.origin).astype(np.float32)}, closed=closed)
 
 
-class Flows:
+class FlowPackets:
     """The slots `flow:NAME` of the flows that a page displays."""
 
     def __init__(self) -> None:
@@ -121,7 +121,7 @@ class Flows:
                 yield slot, pack(slot, {"from": arrow_arrays[f"flow.{name}.P"], "way": arrow_arrays[f"flow.{name}.V"]})
 
 
-class Solids:
+class SolidPackets:
     """The slots `solid:NAME:N`. A packet without faces removes a piece."""
 
     def __init__(self) -> None:
@@ -139,9 +139,9 @@ class Solids:
                 yield from self._piece_packets(name, piece, [], self._volumes[name])
             del self._volumes[name]
         for name, volume in view_state.world.solids.items():
-            yield from self._solid(name, volume)
+            yield from self._solid_packets(name, volume)
 
-    def _solid(self, name: str, volume: Volume) -> Packets:
+    def _solid_packets(self, name: str, volume: Volume) -> Packets:
         bricks_by_piece = self._bricks.setdefault(name, {})
         previous_pieces = set(bricks_by_piece)
         is_new_volume = self._volumes.get(name) is not volume  # after a seek or an edit: another one, as it was then
@@ -150,7 +150,7 @@ class Solids:
             bricks_by_piece.clear()
         touched = set()
         for brick, vertices, faces in volume.surface(changed_only=not is_new_volume):
-            piece = _piece(brick, volume.bricks.shape)
+            piece = _piece_number(brick, volume.bricks.shape)
             bricks_by_piece.setdefault(piece, {})[brick] = vertices, faces
             touched.add(piece)
         for piece in sorted(touched):
@@ -161,7 +161,7 @@ class Solids:
 
     def _piece_packets(self, name: str, piece: int, bricks: Iterable[Piece], volume: Volume) -> Packets:
         """Return the packet of a piece; nothing for a piece without faces that is not displayed."""
-        vertices, faces = joined(list(bricks))
+        vertices, faces = join_pieces(list(bricks))
         if not len(faces) and (name, piece) not in self._shown:
             return
         (self._shown.add if len(faces) else self._shown.discard)((name, piece))
@@ -172,7 +172,7 @@ class Solids:
         yield slot, pack(slot, arrays, solid=name)
 
 
-def _piece(brick: int, shape: tuple[int, int, int]) -> int:
+def _piece_number(brick: int, shape: tuple[int, int, int]) -> int:
     """The number of the piece that a brick is in."""
     at = np.unravel_index(brick, shape)
     a, b, c = (-(-side // _SIDE) for side in shape)

@@ -10,7 +10,7 @@ from antdsl import __version__
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.render import visible_diagnostics
 from antdsl.preview.session import Outcome
-from antdsl.preview.viewing.names import is_library, text_of
+from antdsl.preview.viewing.names import is_library, read_text
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Live
@@ -20,10 +20,10 @@ Message = dict[str, Any]
 
 def hello(live: Live) -> Message:
     """Return the `hello` message. `build` is empty here: the server fills it in."""
-    return {"op": "hello", "version": __version__, "build": "", "scene": scene_file(live)}
+    return {"op": "hello", "version": __version__, "build": "", "scene": scene_file_name(live)}
 
 
-def scene_file(live: Live) -> str:
+def scene_file_name(live: Live) -> str:
     return live.screen.names.of(live.compiler.scene)
 
 
@@ -34,7 +34,7 @@ def texts(live: Live) -> Message:
         path = Path(os.path.realpath(each))
         if path in known_paths or path.suffix not in (".ant", ".yaml", ".yml"):
             continue
-        if (text := text_of(each, live.compiler.open_file)) is not None:
+        if (text := read_text(each, live.compiler.open_file)) is not None:
             known_paths.add(path)
             kind = "library" if is_library(path) else "ant" if path.suffix == ".ant" else "yaml"
             entries.append({"file": live.screen.names.of(path), "text": text, "kind": kind})
@@ -49,7 +49,10 @@ def problems(live: Live) -> Message:
 def _problems(live: Live, report: Report) -> list[Message]:
     """Return the findings that fit, and the number of further ones."""
     selected = visible_diagnostics(report)
-    entries, omitted_count = [live.screen.names.problem(each) for each in selected], len(report.diagnostics) - len(selected)
+    entries, omitted_count = (
+        [live.screen.names.problem_message(each) for each in selected],
+        len(report.diagnostics) - len(selected),
+    )
     if omitted_count:
         entries.append(
             {**entries[-1], "message": f"… and {omitted_count:,} more", "help": "", "file": None, "start": 0, "end": 0}
@@ -79,7 +82,7 @@ def status(live: Live, rate: float, hash: str | None) -> Message:
         return fields
     session, why = live.session, live.stop_at
     fields |= {
-        "frame": session.frame if live.light is None else live.light, "first": session.first, "head": session.head,
+        "frame": session.frame if live.light is None else live.light, "first": session.first, "head": session.last_frame,
         "playing": session.playing, "edited": session.edited, "fault": session.fault, "agents": len(session.world),
         "transitions": dict(session.world.transitions), "light": live.light is not None,
     }  # fmt: skip

@@ -17,7 +17,7 @@ from antdsl.syntax import text_files
 TEXT_BYTES = 1 << 20  # of one file that is shown
 
 
-class Names:
+class FileNames:
     """Short names: the relative path for files below the scene's folder, `<steering>` for the library, the last path part for
     others."""
 
@@ -44,23 +44,23 @@ class Names:
             self._names[real] = name
         return self._names[real]
 
-    def problem(self, diagnostic: Diagnostic) -> dict[str, Any]:
+    def problem_message(self, diagnostic: Diagnostic) -> dict[str, Any]:
         """Return a finding with its location; the file is null if there is none."""
         fields: dict[str, Any] = {
-            "code": diagnostic.code, "severity": diagnostic.severity, "message": self._brief(diagnostic.message),
-            "help": self._brief(diagnostic.help or ""),
+            "code": diagnostic.code, "severity": diagnostic.severity, "message": self._shorten_paths(diagnostic.message),
+            "help": self._shorten_paths(diagnostic.help or ""),
             "file": None, "start": 0, "end": 0, "line": 0, "column": 0,
         }  # fmt: skip
         if diagnostic.span is not None:
             text = diagnostic.span.source.text
             line, column = diagnostic.span.source.line_column(diagnostic.span.start)
             fields |= {
-                "file": self.of(diagnostic.span.source.path), "start": utf16(text[: diagnostic.span.start]),
-                "end": utf16(text[: diagnostic.span.end]), "line": line, "column": column,
+                "file": self.of(diagnostic.span.source.path), "start": utf16_length(text[: diagnostic.span.start]),
+                "end": utf16_length(text[: diagnostic.span.end]), "line": line, "column": column,
             }  # fmt: skip
         return fields
 
-    def _brief(self, words: str) -> str:
+    def _shorten_paths(self, words: str) -> str:
         """Words less the way to the scene's folder."""
         for prefix in self._ways:
             words = words.replace(prefix, "")
@@ -73,13 +73,13 @@ def is_library(path: Path) -> bool:
     return library is not None and Path(os.path.realpath(library)) == path
 
 
-def utf16(text: str) -> int:
+def utf16_length(text: str) -> int:
     """The length of a text as a browser counts it; every line end is one."""
     text = text.replace("\r\n", "\n")
     return len(text) + sum(letter > "\uffff" for letter in text)
 
 
-def text_of(path: Path, opened: Callable[[Path], int]) -> str | None:
+def read_text(path: Path, opened: Callable[[Path], int]) -> str | None:
     """Return the text of a program or a scene with the same line ends as its readers use, even if it has errors; None if there is
     none. `opened` gives a handle on a regular file, or raises OSError."""
     try:

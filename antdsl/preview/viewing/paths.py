@@ -14,7 +14,7 @@ from antdsl.preview.viewing.seen import Interest, Packets, ViewState
 _EVERY = 0.1  # seconds between two of them while time goes on: a page leaves out past points automatically
 
 
-class Paths:
+class PathPackets:
     """The slot `paths`: each agent's places from frame `frame` of the header on; NaN where the agent does not exist."""
 
     def __init__(self) -> None:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from antdsl.outputs.feelers import feelers_of
-from antdsl.preview.session import Session, silenced
+from antdsl.preview.session import Session, silencing_settings
 from antdsl.preview.viewing.fields import full
-from antdsl.preview.viewing.names import Names, text_of
-from antdsl.preview.viewing.units import base, colourable, unit_for, worth
+from antdsl.preview.viewing.names import FileNames, read_text
+from antdsl.preview.viewing.units import base_units, colour_attributes, constant_in_base_units, unit_for
 from antdsl.program.model import ItemAttribute, Param
 from antdsl.runtime import Population
 from antdsl.scene.model import Camera, millimetres
@@ -24,7 +24,7 @@ _PALETTE = ((0.98, 0.75, 0.24), (0.35, 0.75, 0.95), (0.62, 0.86, 0.42), (0.93, 0
 _FOCAL = 35.0  # mm, as for pictures
 
 
-def scene(live: Live, box: Box, charts: list[dict[str, Any]], charts_need: str) -> dict[str, Any]:
+def scene(live: Live, box: BoundingBox, charts: list[dict[str, Any]], charts_need: str) -> dict[str, Any]:
     """All of it as the session's program is now."""
     session, names = live.session, live.screen.names
     world, program = session.world, session.shot.program
@@ -42,7 +42,7 @@ def scene(live: Live, box: Box, charts: list[dict[str, Any]], charts_need: str) 
     }  # fmt: skip
 
 
-class Box:
+class BoundingBox:
     """The box around all ground, solids and agents, relative to the world's origin. It is unchanged while ground and solids are.
     Pages reset their view when the box changes."""
 
@@ -78,9 +78,9 @@ def _camera(session: Session) -> dict[str, Any] | None:
     return {"at": [float(x) for x in at - origin], "look_at": [float(x) for x in look_at - origin], "focal": focal}
 
 
-def _species(session: Session, names: Names, population: Population) -> dict[str, Any]:
+def _species(session: Session, names: FileNames, population: Population) -> dict[str, Any]:
     world, shot, name = session.world, session.shot, population.name
-    declared = colourable(world, name, shot.program.species[name].attributes)
+    declared = colour_attributes(world, name, shot.program.species[name].attributes)
     feelers = feelers_of(shot.program, name, world.params, world.setting.unit_mm, world.dt)
     return {
         "name": name,
@@ -97,23 +97,23 @@ def _species(session: Session, names: Names, population: Population) -> dict[str
     }
 
 
-def _layers(session: Session, names: Names, population: Population) -> list[dict[str, Any]]:
+def _layers(session: Session, names: FileNames, population: Population) -> list[dict[str, Any]]:
     """Return the running layers and those that are off, in text order."""
     entries = []
     for layer in population.plan.layers:
         span = layer.span
         line = span.source.line_column(span.start)[0]
         entries.append({"text": span.text, "file": names.of(span.source.path), "line": line, "on": True})
-    for (species, text), path in session.off.items():
+    for (species, text), path in session.disabled_layers.items():
         if species == population.name:
-            file_text = text_of(path, session.compiler.open_file) or ""
+            file_text = read_text(path, session.compiler.open_file) or ""
             own = re.search(rf"^\s*species\s+{re.escape(species)}\b", file_text, re.MULTILINE)
             line = file_text.count("\n", 0, max(file_text.find(text, own.start() if own else 0), 0)) + 1
             entries.append({"text": text, "file": names.of(path), "line": line, "on": False})
     return sorted(entries, key=lambda each: (each["file"], each["line"]))
 
 
-def _param(session: Session, names: Names, name: str, param: Param) -> dict[str, Any]:
+def _param(session: Session, names: FileNames, name: str, param: Param) -> dict[str, Any]:
     world, scene = session.world, session.shot.scene
     unit_mm, dt = world.setting.unit_mm, world.dt
     scene_value = scene.model.set.get(name)
@@ -121,9 +121,9 @@ def _param(session: Session, names: Names, name: str, param: Param) -> dict[str,
     chosen = session.choices.params.get(name)
     value = written if chosen is None else chosen
     quantity = scene_value if chosen is None else parse_quantity(chosen)
-    number = base(param.default, unit_mm, dt) if quantity is None else quantity.base(unit_mm, dt)
-    one = worth(param.unit, unit_mm, dt)
-    low, high = (None if each is None else base(each, unit_mm, dt) / one for each in (param.low, param.high))
+    number = constant_in_base_units(param.default, unit_mm, dt) if quantity is None else quantity.to_base_units(unit_mm, dt)
+    one = base_units(param.unit, unit_mm, dt)
+    low, high = (None if each is None else constant_in_base_units(each, unit_mm, dt) / one for each in (param.low, param.high))
     return {
         "name": name, "value": value, "number": number / one, "unit": param.unit,
         "low": low, "high": high, "help": param.help,
@@ -137,7 +137,7 @@ def _fields(session: Session) -> list[dict[str, Any]]:
     return [
         {
             "name": name, "unit": "", "colour": list(_PALETTE[number % len(_PALETTE)]),
-            "on": not chosen.items() >= silenced(name).items(),
+            "on": not chosen.items() >= silencing_settings(name).items(),
             "full": full(field.limit),
         }
         for number, (name, field) in enumerate(session.world.fields.items())
@@ -150,7 +150,7 @@ def _items(session: Session) -> list[dict[str, Any]]:
         {
             "name": name, "kind": things[name].kind, "names": list(items.names),
             "amounts": [
-                {"name": a.name, "unit": unit_for(a), "first": _first(session, name, a)}
+                {"name": a.name, "unit": unit_for(a), "first": _initial_amounts(session, name, a)}
                 for a in things[name].attributes if a.name in items.amounts
             ],
         }
@@ -158,8 +158,8 @@ def _items(session: Session) -> list[dict[str, Any]]:
     ]  # fmt: skip
 
 
-def _first(session: Session, name: str, amount: ItemAttribute) -> list[float]:
+def _initial_amounts(session: Session, name: str, amount: ItemAttribute) -> list[float]:
     """Return the initial amount of each item, in the author's unit."""
     unit_mm, dt = session.world.setting.unit_mm, session.world.dt
-    usual, one = base(amount.default, unit_mm, dt), worth(unit_for(amount), unit_mm, dt)
+    usual, one = constant_in_base_units(amount.default, unit_mm, dt), base_units(unit_for(amount), unit_mm, dt)
     return [each.attributes.get(amount.name, usual) / one for each in session.world.setting.items[name]]

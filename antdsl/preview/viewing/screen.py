@@ -14,23 +14,33 @@ from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.requests import MAX_PLANNED_AGENTS
 from antdsl.preview.session import Session
 from antdsl.preview.viewing import messages
-from antdsl.preview.viewing.acting import remember
-from antdsl.preview.viewing.agents import Agents
-from antdsl.preview.viewing.bodies import ItemBodies, Rigs
+from antdsl.preview.viewing.acting import store_poses
+from antdsl.preview.viewing.agents import AgentPackets
+from antdsl.preview.viewing.bodies import ItemBodyPackets, RigPackets
 from antdsl.preview.viewing.charts import Charts
 from antdsl.preview.viewing.curves import SentCurves
-from antdsl.preview.viewing.fields import Fields
-from antdsl.preview.viewing.geometry import Curves, Flows, Meshes, Solids
-from antdsl.preview.viewing.names import Names
-from antdsl.preview.viewing.paths import Paths
-from antdsl.preview.viewing.scene import Box, scene
-from antdsl.preview.viewing.seen import Interest, View, ViewState
+from antdsl.preview.viewing.fields import FieldPackets
+from antdsl.preview.viewing.geometry import CurvePackets, FlowPackets, MeshPackets, SolidPackets
+from antdsl.preview.viewing.names import FileNames
+from antdsl.preview.viewing.paths import PathPackets
+from antdsl.preview.viewing.scene import BoundingBox, scene
+from antdsl.preview.viewing.seen import Interest, PacketMaker, ViewState
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Client, Live
 
 # One of each is made; the ground comes first, what takes long to make last.
-VIEWS: tuple[Callable[[], View], ...] = (Meshes, Solids, Rigs, Agents, Paths, Curves, Fields, Flows, ItemBodies)
+VIEWS: tuple[Callable[[], PacketMaker], ...] = (
+    MeshPackets,
+    SolidPackets,
+    RigPackets,
+    AgentPackets,
+    PathPackets,
+    CurvePackets,
+    FieldPackets,
+    FlowPackets,
+    ItemBodyPackets,
+)
 _FRAME_EVERY = 1 / 60  # seconds
 _REPORT_INTERVAL = 0.1  # the same of status and curves while it plays
 _RATE_OVER = 1.0  # seconds of steps that the rate is measured over
@@ -40,11 +50,11 @@ class Screen:
     """Updates the pages. Used only by the live thread. `due`: when `refresh` has work again."""
 
     def __init__(self, live: Live) -> None:
-        self.live, self.names = live, Names(live.compiler.scene)
+        self.live, self.names = live, FileNames(live.compiler.scene)
         self.due = inf
         self._views = [make() for make in VIEWS]
         self._charts, self._curves = Charts(), SentCurves()
-        self._box = Box()
+        self._box = BoundingBox()
         self._wanted = Interest()
         self._standing: dict[str, bytes] = {}  # the latest packet of each slot
         self._steps: deque[float] = deque()
@@ -57,31 +67,31 @@ class Screen:
 
     # --- what happened -----------------------------------------------------------------------------------------------
 
-    def stepped(self) -> None:
+    def on_step(self) -> None:
         self._steps.append(monotonic())
         self._moved = True
         if self.live.clients:
-            remember(self.live.session)
+            store_poses(self.live.session)
 
-    def looks_ahead(self, session: Session) -> bool:
+    def needs_look_ahead(self, session: Session) -> bool:
         """Return whether some page shows planned paths."""
         return bool(self._wanted.planned) or (self._wanted.planned_of_all and len(session.world) <= MAX_PLANNED_AGENTS)
 
-    def looked_ahead(self) -> None:
+    def on_look_ahead(self) -> None:
         """There is more, or less, of the time to come."""
         self._moved = True
 
-    def entered(self) -> None:
+    def on_new_world(self) -> None:
         """Another world, maybe of another program or with other values: one has gone back in time, or on to an edit."""
         self._program = self._moved = True
 
-    def arrived(self) -> None:
+    def on_seek_end(self) -> None:
         """Note that the session reached its target frame: values set by hand may differ from those at the frame where it
         started."""
         self._program = True
-        self.touched()
+        self.on_action()
 
-    def touched(self) -> None:
+    def on_action(self) -> None:
         """Note that something happened that pages may need to show."""
         self._moved, self._told_at = True, -inf
 
@@ -91,15 +101,15 @@ class Screen:
         self._hash = None  # a param may be another one at the same frame
         if self.live.is_open:
             self._curves.forget_from(self.live.session.frame)
-        self.touched()
+        self.on_action()
 
-    def looked(self) -> None:
+    def on_look(self) -> None:
         self._wanted = Interest.by(self.live.clients.values())
         self._moved = True
 
     def greet(self, client: Client) -> None:
         """Tell and show one page everything."""
-        self.looked()
+        self.on_look()
         client.tell(messages.hello(self.live))
         if len(self.live.clients) == 1:
             self._program = self._files = False  # there are no other clients
@@ -112,16 +122,16 @@ class Screen:
         client.tell(messages.status(self.live, self._rate(), self._hash_now()))
         if self.live.is_open:
             timeline = self.live.session.timeline
-            news = self._curves.news(timeline)
+            news = self._curves.new_values(timeline)
             for other in self.live.clients:
                 if other is client:
-                    client.tell(self._curves.all_of_it(timeline))
+                    client.tell(self._curves.full_history(timeline))
                 elif news is not None:  # from now on all have the same
                     other.tell(news)
             client.tell(self.live.observer(Specs).message())
             client.tell(self.live.observer(Breakpoints).message())
             client.tell(messages.stops(self.live))
-            sent = self._show(self.live.session, monotonic())
+            sent = self._show_packets(self.live.session, monotonic())
             for slot, packet in self._standing.items():
                 if slot not in sent:
                     client.show(slot, packet)
@@ -139,14 +149,14 @@ class Screen:
         self._program = self._files = False
         laid = True
         if program and session is not None:
-            laid = self._tell_scene(self._charts.known(session.shot.program))
-        playing = session is not None and (session.playing or live.busy)
+            laid = self._tell_scene(self._charts.is_laid_out(session.shot.program))
+        playing = session is not None and (session.playing or live.is_seeking)
         if session is not None and self._moved:
             if playing and now - self._shown_at < _FRAME_EVERY:
                 self.due = self._shown_at + _FRAME_EVERY
             else:
                 self._moved = False
-                self._show(session, now)
+                self._show_packets(session, now)
         if files:
             live.tell_all(messages.texts(live))
             live.tell_all(messages.problems(live))
@@ -158,10 +168,10 @@ class Screen:
         if playing:
             self.due = min(self.due, self._told_at + _REPORT_INTERVAL)
 
-    def _show(self, session: Session, now: float) -> set[str]:
+    def _show_packets(self, session: Session, now: float) -> set[str]:
         """Send all pages the slots that changed, and return those slots."""
         self._shown_at = now
-        going = session.playing or self.live.busy
+        going = session.playing or self.live.is_seeking
         view_state, sent = ViewState(session, self.live.ahead, self._wanted, self.live.light, now, going), set()
         for view in self._views:
             for slot, packet in view.packets(view_state):
@@ -191,7 +201,7 @@ class Screen:
         if session is not None and session.timeline.stops != self._stops:
             self._stops = dict(session.timeline.stops)
             self.live.tell_all(messages.stops(self.live))
-        news = self._curves.news(session.timeline) if session is not None else None
+        news = self._curves.new_values(session.timeline) if session is not None else None
         if news is not None:
             self.live.tell_all(news)
 
@@ -209,7 +219,7 @@ class Screen:
     def _hash_now(self) -> str | None:
         """Return the hash of the session's world while it is paused and displayed; else None."""
         live = self.live
-        if not live.is_open or live.session.playing or live.busy or live.light is not None:
+        if not live.is_open or live.session.playing or live.is_seeking or live.light is not None:
             return None
         world = live.session.world
         if self._hash is None or self._hash[0] is not world or self._hash[1] != world.frame:

@@ -8,7 +8,7 @@ from typing import Protocol
 
 from antdsl.pipeline import Shot
 from antdsl.preview.ahead import Ahead
-from antdsl.preview.requests import Look, Who
+from antdsl.preview.requests import AgentRef, Look
 from antdsl.preview.session import Session
 from antdsl.runtime import World
 
@@ -23,8 +23,8 @@ class Interest:
     fields: frozenset[str] = frozenset()
     flows: frozenset[str] = frozenset()
     solids: bool = True
-    followed: tuple[Who, ...] = ()  # each once
-    planned: tuple[Who, ...] | None = None  # agents with future paths shown, each once; None: no page shows any
+    followed: tuple[AgentRef, ...] = ()  # each once
+    planned: tuple[AgentRef, ...] | None = None  # agents with future paths shown, each once; None: no page shows any
     planned_of_all: bool = False
 
     @classmethod
@@ -64,7 +64,7 @@ class ViewState:
         return self.session.shot
 
 
-class View(Protocol):
+class PacketMaker(Protocol):
     """Makes the packets of one kind, and returns only those that changed."""
 
     def packets(self, view_state: ViewState) -> Packets: ...

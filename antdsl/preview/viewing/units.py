@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from antdsl.program.model import AttributeDecl, Const, ItemAttribute, Kind
-from antdsl.program.tables.units import measure, unit_of
+from antdsl.program.tables.units import default_unit, measure
 from antdsl.runtime import World
-from antdsl.scene.quantities import BadQuantity, parse_quantity
+from antdsl.scene.quantities import QuantityError, parse_quantity
 
 
 def unit_for(declared: AttributeDecl | ItemAttribute) -> str:
@@ -15,23 +15,23 @@ def unit_for(declared: AttributeDecl | ItemAttribute) -> str:
     default = declared.default
     try:
         written = parse_quantity(default.span.text) if default.span is not None else None
-    except BadQuantity:
+    except QuantityError:
         written = None
-    return written.unit if written is not None and written.dim == declared.type.dim else unit_of(declared.type.dim)
+    return written.unit if written is not None and written.dim == declared.type.dim else default_unit(declared.type.dim)
 
 
-def worth(unit: str, unit_mm: float, dt: float) -> float:
+def base_units(unit: str, unit_mm: float, dt: float) -> float:
     """Base units in one of a unit."""
     known = measure(unit) if unit else None
     return 1.0 if known is None else known.factor * unit_mm**known.u * dt**known.step
 
 
-def base(value: Const, unit_mm: float, dt: float) -> float:
+def constant_in_base_units(value: Const, unit_mm: float, dt: float) -> float:
     """A constant of the program in base units."""
     return float(value.number * unit_mm**value.u * dt**value.step)
 
 
-def colourable(world: World, species: str, attributes: tuple[AttributeDecl, ...]) -> list[AttributeDecl]:
+def colour_attributes(world: World, species: str, attributes: tuple[AttributeDecl, ...]) -> list[AttributeDecl]:
     """Return the attributes of a species that are one number per agent."""
     registers = world.plan.species[species].registers
     return [each for each in attributes if each.type.kind in (Kind.NUMBER, Kind.BOOL) and each.name in registers]

@@ -6,9 +6,9 @@ import math
 from collections.abc import Collection, Iterator
 
 from antdsl.diagnostics import Fix, Report
-from antdsl.program.checks.analysis.checked import Checked
-from antdsl.program.model import Const, Expr, Local, Op
-from antdsl.program.types.descriptions import quoted
+from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.model import BindingRef, Const, Expr, Op
+from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 
 _DRAWS = frozenset(("uniform", "normal", "pick"))
@@ -17,25 +17,25 @@ _COMPARISONS = frozenset(("lt", "le", "gt", "ge", "eq", "ne"))
 _FPS = 24  # of film
 
 
-def draws(checked: Checked, report: Report) -> None:
+def check_draws(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
         tests = [change.condition for machine in species.machines for state in machine.states for change in state.transitions]
         tests += [layer.condition for layer in species.layers.layers]
         for test in tests:
             if test is not None:
-                _test(test, report)
+                _check_test(test, report)
 
 
-def _test(test: Expr, report: Report) -> None:
-    within = [part for part in _within(test, ("and", "or", "not")) if isinstance(part, Op)]
+def _check_test(test: Expr, report: Report) -> None:
+    within = [part for part in _walk_through(test, ("and", "or", "not")) if isinstance(part, Op)]
     if any(part.name == "event" for part in within):
         return  # an event is there for one step only
     for part in within:
-        if part.name in _COMPARISONS and _drawn(part):
-            rate = _rate(part)
+        if part.name in _COMPARISONS and _has_draw(part):
+            rate = _chance_rate(part)
             report.warning(
                 "draw-in-condition",
-                f"{quoted(part.span)} draws a new number in every step",
+                f"{quote_source(part.span)} draws a new number in every step",
                 part.span,
                 f"write `{rate}`, which is as likely at {_FPS} frames a second" if rate
                 else "write `chance 20 %/s`, or draw once: an attribute, set in `enter`",
@@ -43,18 +43,18 @@ def _test(test: Expr, report: Report) -> None:
             )  # fmt: skip
 
 
-def _drawn(part: Op) -> bool:
-    return any(isinstance(inner, Op) and inner.name in _DRAWS for inner in _within(part, _ARITHMETIC))
+def _has_draw(part: Op) -> bool:
+    return any(isinstance(inner, Op) and inner.name in _DRAWS for inner in _walk_through(part, _ARITHMETIC))
 
 
-def _within(root: Expr, through: Collection[str]) -> Iterator[Expr]:
+def _walk_through(root: Expr, through: Collection[str]) -> Iterator[Expr]:
     """Yield an expression and its parts, through the listed operations and the names of values, each named value once. Sets are
     not entered."""
     stack: list[Expr] = [root]
     named: set[int] = set()
     while stack:
         part = stack.pop()
-        if isinstance(part, Local) and part.binding.role in ("let", "argument") and part.binding.value is not None:
+        if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
             if id(part.binding) not in named:
                 named.add(id(part.binding))
                 stack.append(part.binding.value)
@@ -64,7 +64,7 @@ def _within(root: Expr, through: Collection[str]) -> Iterator[Expr]:
             stack += [arg for arg in part.args if arg is not None]
 
 
-def _rate(part: Op) -> str | None:
+def _chance_rate(part: Op) -> str | None:
     """`uniform(0, 1) < 0.1` as a chance per second."""
     left, right = part.args
     assert left is not None and right is not None
@@ -77,9 +77,9 @@ def _rate(part: Op) -> str | None:
     low, high = ends if len(ends) == 2 else (None, None)
     if low is None or high is None or not low.number < edge.number < high.number:
         return None
-    share = _share(low, edge, high)
+    share = _true_share(low, edge, high)
     return f"chance {-math.log1p(-(share if name in ('lt', 'le') else 1 - share)) * _FPS:.3g} /s"
 
 
-def _share(low: Const, edge: Const, high: Const) -> float:
+def _true_share(low: Const, edge: Const, high: Const) -> float:
     return (edge.number - low.number) / (high.number - low.number)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 
 from antdsl.diagnostics import Report
-from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.syntax import nodes
 
 _DECLARING = re.compile(r"\b(species|behaviour)\b")
 
 
-def empty(checked: Checked, report: Report) -> None:
+def check_empty(checked: CheckContext, report: Report) -> None:
     for file in checked.files:
         source, items = file.node.source, file.node.items
         if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.checks.analysis.checked import Checked
-from antdsl.program.tables.effects import feeding
+from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.tables.effects import feeding_effects
 from antdsl.source import Span
 
 
-def events(checked: Checked, report: Report) -> None:
+def check_events(checked: CheckContext, report: Report) -> None:
     declared = checked.declared
     if any(species.node is None for species in declared.species.values()):
         return  # a species of another file may raise or notice what this one does not
     for event, span in declared.events.items():
         _report_unheard(checked, event, span, report)
-        raised = any(checked.uses(op, event) for op in feeding("event"))
-        noticed = checked.uses("on", event) or checked.uses("event", event)
+        raised = any(checked.is_used(op, event) for op in feeding_effects("event"))
+        noticed = checked.is_used("on", event) or checked.is_used("event", event)
         others = [name for name in declared.events if name != event]
         near = nearest_name(event, others)
         if raised and not noticed:
@@ -35,10 +35,10 @@ def events(checked: Checked, report: Report) -> None:
             )
 
 
-def _report_unheard(checked: Checked, event: str, span: Span, report: Report) -> None:
+def _report_unheard(checked: CheckContext, event: str, span: Span, report: Report) -> None:
     """Report species of which agents receive an event that they do not notice."""
     for name in checked.declared.species:
-        if checked.uses("told", f"{event} {name}") and not checked.uses("heard", f"{event} {name}"):
+        if checked.is_used("told", f"{event} {name}") and not checked.is_used("heard", f"{event} {name}"):
             report.warning(
                 "unheard-event", f"a `{name}` gets the event `{event}`, but does not notice it", span,
                 f"write `on {event} {{ … }}` in `species {name}`, or ask for it there: `when {event} -> …`",

@@ -5,22 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.analysis.checked import Checked
-from antdsl.program.checks.analysis.conditions import NOT_FOLLOWED, Reader
+from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.checks.analysis.conditions import NOT_FOLLOWED, ConditionReader
 from antdsl.program.model import Assign, Attribute, Expr, Machine, State, Transition
 from antdsl.program.traverse import parts
-from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.descriptions import quote_source
 
 
-def flicker(checked: Checked, report: Report) -> None:
-    reader = Reader(checked.program.params)
+def check_flicker(checked: CheckContext, report: Report) -> None:
+    reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:
-            for forward, back in _pairs(machine):
-                _pair(reader, machine, forward, back, report)
+            for forward, back in _opposite_changes(machine):
+                _check_pair(reader, machine, forward, back, report)
 
 
-def _pairs(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[State, Transition]]]:
+def _opposite_changes(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[State, Transition]]]:
     """Yield each transition from a state to a later one with each transition back."""
     for state in machine.states:
         for change in state.transitions:
@@ -31,18 +31,18 @@ def _pairs(machine: Machine) -> Iterator[tuple[tuple[State, Transition], tuple[S
                         yield (state, change), (other, back)
 
 
-def _pair(
-    reader: Reader, machine: Machine, forward: tuple[State, Transition], back: tuple[State, Transition], report: Report
+def _check_pair(
+    reader: ConditionReader, machine: Machine, forward: tuple[State, Transition], back: tuple[State, Transition], report: Report
 ) -> None:
     (state, change), (other, returning) = forward, back
-    if _waits(*forward) or _waits(*back) or change.condition is None or returning.condition is None:
+    if _has_wait(*forward) or _has_wait(*back) or change.condition is None or returning.condition is None:
         return
-    if _alters(machine, forward, returning.condition) or _alters(machine, back, change.condition):
+    if _changes_test(machine, forward, returning.condition) or _changes_test(machine, back, change.condition):
         return
-    if _overlap(reader, change.condition, returning.condition):
+    if _is_overlapping(reader, change.condition, returning.condition):
         report.warning(
             "flicker",
-            f"{quoted(change.condition.span)} and {quoted(returning.condition.span)} can hold at once: "
+            f"{quote_source(change.condition.span)} and {quote_source(returning.condition.span)} can hold at once: "
             f"`{state.name}` and `{other.name}` would alternate",
             returning.condition.span,
             "leave a gap between the two numbers, or wait: `held 0.5 s`, or `for at least 1 s` in a state",
@@ -50,11 +50,11 @@ def _pair(
         )
 
 
-def _waits(state: State, change: Transition) -> bool:
+def _has_wait(state: State, change: Transition) -> bool:
     return change.delay is not None or change.held is not None or change.take is not None or state.at_least is not None
 
 
-def _overlap(reader: Reader, one: Expr, other: Expr) -> bool:
+def _is_overlapping(reader: ConditionReader, one: Expr, other: Expr) -> bool:
     """Return whether both compare the same value with constants, and some value satisfies both."""
     try:
         cases = [reader.cases(one), reader.cases(other)]
@@ -63,10 +63,10 @@ def _overlap(reader: Reader, one: Expr, other: Expr) -> bool:
     subjects = {key for each in cases for case in each for key in case.numbers}
     if len(subjects) != 1 or any(case.tests for each in cases for case in each):
         return False
-    return any(a.meet(b) is not None for a in cases[0] for b in cases[1])
+    return any(a.intersect(b) is not None for a in cases[0] for b in cases[1])
 
 
-def _alters(machine: Machine, edge: tuple[State, Transition], test: Expr) -> bool:
+def _changes_test(machine: Machine, edge: tuple[State, Transition], test: Expr) -> bool:
     """Return whether that transition sets something that the test on the other side reads, or restarts its clock."""
     state, change = edge
     assert change.target is not None

@@ -5,43 +5,43 @@ from __future__ import annotations
 import math
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.analysis.checked import Checked
-from antdsl.program.checks.analysis.conditions import Reader, always, never
-from antdsl.program.model import Attribute, Const, Expr, Inline, Layer, Local, Op, Species, Steer
-from antdsl.program.types.descriptions import quoted
+from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.checks.analysis.conditions import ConditionReader, is_always, is_never
+from antdsl.program.model import Attribute, BindingRef, Const, Expr, InlinedBehaviour, Layer, Op, Species, Steer
+from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 
 
-def idle_layers(checked: Checked, report: Report) -> None:
-    reader = Reader(checked.program.params)
+def check_idle_layers(checked: CheckContext, report: Report) -> None:
+    reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for layer in species.layers.layers:
-            if layer.condition is not None and not isinstance(layer.condition, Const) and never(reader, layer.condition):
+            if layer.condition is not None and not isinstance(layer.condition, Const) and is_never(reader, layer.condition):
                 report.warning(
-                    "idle-layer", f"{quoted(layer.condition.span)} can never hold", layer.condition.span,
+                    "idle-layer", f"{quote_source(layer.condition.span)} can never hold", layer.condition.span,
                     "change one of its numbers, or delete the line",
                 )  # fmt: skip
-        _below_all(reader, species, report)
+        _check_priorities(reader, species, report)
 
 
-def _below_all(reader: Reader, species: Species, report: Report) -> None:
+def _check_priorities(reader: ConditionReader, species: Species, report: Report) -> None:
     """Report layers below one that always takes the whole budget. In a sum every layer counts."""
     lines = tuple(layer for layer in species.layers.layers if not layer.faces)  # to face a way takes no strength
     enough = {"budget": 1.0, "first": 1e-6}.get(species.layers.mode)
     if enough is None:
         return
     for place, layer in enumerate(lines[:-1]):
-        if always(reader, layer.condition) and _least(species, layer) >= enough:
+        if is_always(reader, layer.condition) and _min_layer_strength(species, layer) >= enough:
             for below in lines[place + 1 :]:
                 report.warning(
-                    "idle-layer", f"no strength is ever left for {quoted(below.span)}", below.span,
+                    "idle-layer", f"no strength is ever left for {quote_source(below.span)}", below.span,
                     "move it up, or ask for less above it: `… * 0.5`",
                     labels=(Label(layer.span, "this line always takes all of it"),),
                 )  # fmt: skip
             return
 
 
-def _least(species: Species, layer: Layer) -> float:
+def _min_layer_strength(species: Species, layer: Layer) -> float:
     """The least length of a layer's push that is known for certain."""
     if layer.push is not None:
         return strength(layer.push)
@@ -56,9 +56,9 @@ def _least(species: Species, layer: Layer) -> float:
 
 def strength(push: Expr) -> float:
     """Return the smallest length of a push in any case; 0 if nothing is known."""
-    if isinstance(push, Local) and push.binding.role in ("let", "argument") and push.binding.value is not None:
+    if isinstance(push, BindingRef) and push.binding.role in ("let", "argument") and push.binding.value is not None:
         return strength(push.binding.value)
-    if isinstance(push, Inline):
+    if isinstance(push, InlinedBehaviour):
         return strength(push.result)
     if isinstance(push, Attribute):
         return 1.0 if push.of is None and push.name in ("heading", "up") else 0.0
@@ -69,7 +69,7 @@ def strength(push: Expr) -> float:
     if push.name == "if" and push.args[1] is not None and push.args[2] is not None:
         return min(strength(push.args[1]), strength(push.args[2]))
     if push.name in ("mul", "div"):
-        return _scaled(push)
+        return _min_scaled_length(push)
     if push.name == "vector":
         numbers = [constant_behind(arg) if arg is not None else None for arg in push.args]
         known = [c.number for c in numbers if c is not None and not (c.u or c.step)]
@@ -77,7 +77,7 @@ def strength(push: Expr) -> float:
     return 0.0
 
 
-def _scaled(push: Op) -> float:
+def _min_scaled_length(push: Op) -> float:
     for vector, number in (push.args, push.args[::-1]):
         if vector is None or number is None:
             continue

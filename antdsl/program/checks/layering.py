@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Report
-from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.model import Face, Steer
 
 
-def layering(checked: Checked, report: Report) -> None:
+def check_layering(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
         lines = [line for m in species.machines for state in m.states for line in state.body]
         steering = next((line for line in lines if isinstance(line, Steer | Face)), None)

@@ -6,24 +6,24 @@ from collections.abc import Iterator
 from functools import partial
 
 from antdsl.diagnostics import Report
-from antdsl.program.checks.analysis.checked import Checked
-from antdsl.program.memo import part
-from antdsl.program.model import Ask, AttributeDecl, Const, NoneRef, Program, Species, Thing
-from antdsl.program.tables.effects import feeding
+from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.memo import cached_part
+from antdsl.program.model import Ask, AttributeDecl, Const, NoneRef, Program, Species, ThingRef
+from antdsl.program.tables.effects import feeding_effects
 from antdsl.program.traverse import parts
-from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.descriptions import quote_source
 
 
-def one_way(checked: Checked, report: Report) -> None:
+def check_unused_memory(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
         for attribute in species.attributes:
             if not attribute.is_builtin:
-                _attribute(checked, species, attribute, report)
-    wholes = _wholes(checked.program) if checked.program.fields else ()
-    named = [part(checked.declared, ("named", each), partial(_named, each)) for each in wholes]
+                _check_attribute(checked, species, attribute, report)
+    wholes = _field_users(checked.program) if checked.program.fields else ()
+    named = [cached_part(checked.declared, ("named", each), partial(_used_names, each)) for each in wholes]
     read, laid = (frozenset().union(*names) for names in zip(*named, strict=True)) if named else (frozenset(), frozenset())
     for field in checked.program.fields.values():
-        if field.name in laid and field.name not in read and not checked.uses("smelled", field.name):
+        if field.name in laid and field.name not in read and not checked.is_used("smelled", field.name):
             report.warning(
                 "unread-field",
                 f"field `{field.name}` is laid and never smelled",
@@ -32,7 +32,7 @@ def one_way(checked: Checked, report: Report) -> None:
             )
 
 
-def _wholes(program: Program) -> Iterator[object]:
+def _field_users(program: Program) -> Iterator[object]:
     """Yield everything that can name a field: states one by one, as they are what changes during edits."""
     for species in program.species.values():
         yield from (state for machine in species.machines for state in machine.states)
@@ -40,18 +40,18 @@ def _wholes(program: Program) -> Iterator[object]:
     yield from program.specs
 
 
-def _named(root: object) -> tuple[frozenset[str], frozenset[str]]:
+def _used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
     """The things that are named as values below `root`, and the fields that something is laid into."""
-    every, laying = list(parts(root)), feeding("field")
+    every, laying = list(parts(root)), feeding_effects("field")
     return (
-        frozenset(each.name for each in every if isinstance(each, Thing)),
+        frozenset(each.name for each in every if isinstance(each, ThingRef)),
         frozenset(each.of for each in every if isinstance(each, Ask) and each.op in laying),
     )
 
 
-def _attribute(checked: Checked, species: Species, attribute: AttributeDecl, report: Report) -> None:
+def _check_attribute(checked: CheckContext, species: Species, attribute: AttributeDecl, report: Report) -> None:
     name = f"{species.name}.{attribute.name}"
-    read, written = checked.uses("attribute", name), name in checked.declared.written
+    read, written = checked.is_used("attribute", name), name in checked.declared.written
     if written and not read:
         report.warning(
             "unread-attribute",
@@ -60,7 +60,7 @@ def _attribute(checked: Checked, species: Species, attribute: AttributeDecl, rep
             f"ask for it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it",
         )
     elif read and not written and attribute.relax_to is None and isinstance(attribute.default, (Const, NoneRef)):
-        value = quoted(attribute.default.span)
+        value = quote_source(attribute.default.span)
         report.warning(
             "constant-attribute",
             f"attribute `{attribute.name}` is always {value}",

@@ -10,12 +10,12 @@ import math
 import re
 
 from antdsl.diagnostics import Fix, Label, Report
-from antdsl.program.checks.analysis.checked import Checked
-from antdsl.program.checks.analysis.short_steps import Own, changers, is_own, is_rate, reads, timed
+from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.checks.analysis.short_steps import Own, depends_on_step, find_changers, is_own, is_rate, reads
 from antdsl.program.checks.steps import FPS
 from antdsl.program.model import Ask, Assign, Binding, Dim, Expr, Give, Kind, Op, State
 from antdsl.program.traverse import parts
-from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 from antdsl.source import Span
 from antdsl.syntax.words import QUANTITY
@@ -25,133 +25,137 @@ _SO = "happens in every step, so it depends on the frames per second"
 _SIMPLE = re.compile(r"[\w.]+(\([^()]*\))?")
 
 
-def per_frame(checked: Checked, report: Report) -> None:
+def check_per_frame(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
         for machine in species.machines:
             for state in machine.states:
-                _lines(state, report)
+                _check_lines(state, report)
         for part in parts((species.machines, species.layers)):
             if isinstance(part, Binding) and part.role == "keep" and part.then is not None:
-                _memory(part, part.then, report)
+                _check_memory(part, part.then, report)
 
 
-def _lines(state: State, report: Report) -> None:
+def _check_lines(state: State, report: Report) -> None:
     own = [line for line in state.body if isinstance(line, Assign) and line.of is None]
     driven = {line.attribute for line in own if line.op != "="}
     for line in state.body:
         if isinstance(line, Assign) and line.op == "=" and line.of is None:
-            _assignment(line, line.attribute in driven, report)
+            _check_assignment(line, line.attribute in driven, report)
         elif isinstance(line, Assign):
-            _rate(line, line.value, line.attribute, line.per_second, f"{line.attribute} {line.op} ", report)
+            _check_rate(line, line.value, line.attribute, line.per_second, f"{line.attribute} {line.op} ", report)
         elif isinstance(line, Give) and line.amount is not None:
-            _rate(line, line.amount, line.attribute, line.per_second, "", report)
+            _check_rate(line, line.amount, line.attribute, line.per_second, "", report)
         elif isinstance(line, Ask) and line.args and line.args[0] is not None:
-            _rate(line, line.args[0], line.of, line.per_second, "", report)
+            _check_rate(line, line.args[0], line.of, line.per_second, "", report)
 
 
-def _rate(line: Assign | Ask | Give, amount: Expr, own: str, per_second: bool, begins: str, report: Report) -> None:
+def _check_rate(line: Assign | Ask | Give, amount: Expr, own: str, per_second: bool, begins: str, report: Report) -> None:
     """Of what a line adds, which is times `dt`."""
     if not per_second or is_rate(amount, own):
         return
     single_amount = amount.args[0] if isinstance(amount, Op) and amount.name == "div" and _is_dt(amount.args[1]) else None
     help, fix = "what a line of a state adds is times `dt` already: say how much a second, without `dt`", None
-    if single_amount is not None and not timed(single_amount) and _inside(single_amount.span, line.span):
-        fix = Fix(amount.span, _a_second(_text(single_amount.span)))
+    if single_amount is not None and not depends_on_step(single_amount) and _is_inside(single_amount.span, line.span):
+        fix = Fix(amount.span, _per_second_text(_source_text(single_amount.span)))
         help = f"write `{begins}{fix.text}`, which is as much at {FPS} frames a second"
-    report.warning("per-frame", f"{quoted(line.span)} {_SO}", line.span, help, fix=fix)
+    report.warning("per-frame", f"{quote_source(line.span)} {_SO}", line.span, help, fix=fix)
 
 
 def _is_dt(expr: Expr | None) -> bool:
-    return expr is not None and expr.span.text == "dt" and timed(expr)
+    return expr is not None and expr.span.text == "dt" and depends_on_step(expr)
 
 
-def _assignment(line: Assign, driven: bool, report: Report) -> None:
+def _check_assignment(line: Assign, driven: bool, report: Report) -> None:
     """`driven`: another line of the state adds to the attribute."""
     name, value = line.attribute, line.value
-    makers = changers(value, name, driven)
+    makers = find_changers(value, name, driven)
     if not makers:
         return
-    added = "" if timed(value) else _added(value, name)
+    added = "" if depends_on_step(value) else _added_rate_text(value, name)
     fix, display_text, addition = None, "", ""
     if added:
         fix, display_text = Fix(line.span, f"{name} {added}"), f"{name} {added}"
-    elif len(makers) == 1 and _inside(makers[0].span, line.span) and (text := _rewritten(makers[0], name)):
-        fix, display_text = Fix(makers[0].span, text), f"{name} = {_replaced(value.span, makers[0].span, text)}"
+    elif len(makers) == 1 and _is_inside(makers[0].span, line.span) and (text := _rate_free_text(makers[0], name)):
+        fix, display_text = Fix(makers[0].span, text), f"{name} = {_replace_part(value.span, makers[0].span, text)}"
         decay = _DECAY.fullmatch(text) if makers[0] is value else None
         addition = f", or `relax to 0 over {decay[1]}` where it is declared" if decay else ""
     if display_text:
         help = f"write `{display_text}`, which is as much at {FPS} frames a second{addition}"
     elif value.type.kind is Kind.BOOL:
-        help = f"do it once: in `enter {{ }}`, or in a change: `when after 1 s -> … {{ {_text(line.span)} }}`"
-    elif any(_shrinks(each, name) for each in makers):
+        help = f"do it once: in `enter {{ }}`, or in a change: `when after 1 s -> … {{ {_source_text(line.span)} }}`"
+    elif any(_is_vanishing(each, name) for each in makers):
         help = f"for what is left after a second write `{name} = {name} * exp(-dt / 1 s)`; for what is added, `{name} += … /s`"
     else:
         help = f"say how much a second: `{name} += … /s`; what happens once belongs into `enter {{ }}`"
-    labels = tuple(Label(each.span, "here it is changed") for each in makers[:1] if not _inside(each.span, line.span))
-    report.warning("per-frame", f"{quoted(line.span)} {_SO}", line.span, help, labels=labels, fix=fix)
+    labels = tuple(Label(each.span, "here it is changed") for each in makers[:1] if not _is_inside(each.span, line.span))
+    report.warning("per-frame", f"{quote_source(line.span)} {_SO}", line.span, help, labels=labels, fix=fix)
 
 
-def _memory(keep: Binding, then: Expr, report: Report) -> None:
-    makers = changers(then, keep)
+def _check_memory(keep: Binding, then: Expr, report: Report) -> None:
+    makers = find_changers(then, keep)
     if not makers:
         return
-    text = _rewritten(makers[0], keep) if len(makers) == 1 and _inside(makers[0].span, then.span) else ""
+    text = _rate_free_text(makers[0], keep) if len(makers) == 1 and _is_inside(makers[0].span, then.span) else ""
     help = "say how much a second, times `dt`"
     if text:
-        help = f"write `then {_replaced(then.span, makers[0].span, text)}`, which is as much at {FPS} frames a second"
+        help = f"write `then {_replace_part(then.span, makers[0].span, text)}`, which is as much at {FPS} frames a second"
     fix = Fix(makers[0].span, text) if text else None
-    report.warning("per-frame", f"`then {_text(then.span)}` {_SO}", then.span, help, fix=fix)
+    report.warning("per-frame", f"`then {_source_text(then.span)}` {_SO}", then.span, help, fix=fix)
 
 
 # --- what to write instead -------------------------------------------------------------------------------------------
 
 
-def _added(value: Expr, own: str) -> str:
+def _added_rate_text(value: Expr, own: str) -> str:
     """`+= 24 /s` for `x + 1`, `+= (gain - 0.1) * 24 /s` for `x + gain - 0.1`; empty for anything else."""
     if not isinstance(value, Op) or value.name not in ("add", "sub"):
         return ""
     left, right = value.args
     assert left is not None and right is not None
     if value.name == "add" and is_own(right, own) and not reads(left, own):
-        return f"+= {_a_second(_text(left.span))}"
+        return f"+= {_per_second_text(_source_text(left.span))}"
     spine = [value]  # `x + a - b` is a difference of which the left side is a sum
     while isinstance(inner := spine[-1].args[0], Op) and inner.name in ("add", "sub"):
         spine.append(inner)
     first, rest = spine[-1].args
-    if first is None or rest is None or not is_own(first, own) or not _inside(first.span, value.span):
+    if first is None or rest is None or not is_own(first, own) or not _is_inside(first.span, value.span):
         return ""
     if any(op.args[1] is None or reads(op.args[1], own) for op in spine):
         return ""
     if len(spine) == 1:
-        return f"{'+=' if value.name == 'add' else '-='} {_a_second(_text(rest.span))}"
+        return f"{'+=' if value.name == 'add' else '-='} {_per_second_text(_source_text(rest.span))}"
     text = " ".join(value.span.source.text[rest.span.start : value.span.end].split())
-    return f"+= {_a_second(text)}" if spine[-1].name == "add" and text.count("(") == text.count(")") else ""
+    return f"+= {_per_second_text(text)}" if spine[-1].name == "add" and text.count("(") == text.count(")") else ""
 
 
-def _rewritten(op: Expr, own: Own) -> str:
+def _rate_free_text(op: Expr, own: Own) -> str:
     """Return the same operation for any length of a step; empty if the text does not determine it."""
     if not isinstance(op, Op) or len(op.args) < 2 or op.args[0] is None or op.args[1] is None:
         return ""
     left, right = op.args[:2]
     assert left is not None and right is not None
-    if any(timed(each) for each in op.args if each is not None and not reads(each, own)):
+    if any(depends_on_step(each) for each in op.args if each is not None and not reads(each, own)):
         return ""
     if op.name in ("add", "sub") and is_own(left, own) and not reads(right, own):
-        return f"{left.span.text} {'+' if op.name == 'add' else '-'} {_a_second(_text(right.span))} * dt"
+        return f"{left.span.text} {'+' if op.name == 'add' else '-'} {_per_second_text(_source_text(right.span))} * dt"
     if op.name == "add" and is_own(right, own) and not reads(left, own):
-        return f"{right.span.text} + {_a_second(_text(left.span))} * dt"
+        return f"{right.span.text} + {_per_second_text(_source_text(left.span))} * dt"
     if op.name in ("mul", "div") and is_own(left, own):
         return _decay(left, right, -1 if op.name == "div" else 1)
     if op.name == "mul" and is_own(right, own):
         return _decay(right, left, 1)
     if op.name == "mix" and op.args[2] is not None:
-        return _mixed(op, own)
+        return _mix_text(op, own)
     return ""
 
 
-def _shrinks(op: Expr, own: str) -> bool:
+def _is_vanishing(op: Expr, own: str) -> bool:
     """Return whether the value is multiplied by `dt`, as in `x * dt`, so that it vanishes in a short step."""
-    return isinstance(op, Op) and op.name == "mul" and any(e is not None and timed(e) and not reads(e, own) for e in op.args)
+    return (
+        isinstance(op, Op)
+        and op.name == "mul"
+        and any(e is not None and depends_on_step(e) and not reads(e, own) for e in op.args)
+    )
 
 
 def _decay(own: Expr, factor: Expr, power: int) -> str:
@@ -159,7 +163,7 @@ def _decay(own: Expr, factor: Expr, power: int) -> str:
     return f"{own.span.text} * {part}" if part else ""
 
 
-def _mixed(op: Op, own: Own) -> str:
+def _mix_text(op: Op, own: Own) -> str:
     """Return the rewrite of `mix(x, goal, 0.1)`, which covers a tenth of the distance in each step."""
     a, z, share = op.args
     assert a is not None and z is not None and share is not None
@@ -167,9 +171,11 @@ def _mixed(op: Op, own: Own) -> str:
     if known is None or not 0 < known.number < 1 or reads(share, own):
         return ""
     if is_own(a, own) and not reads(z, own):
-        return f"mix({_text(a.span)}, {_text(z.span)}, 1 - {_exp(math.log1p(-known.number))})"
+        return f"mix({_source_text(a.span)}, {_source_text(z.span)}, 1 - {_exp(math.log1p(-known.number))})"
     return (
-        f"mix({_text(a.span)}, {_text(z.span)}, {_exp(math.log(known.number))})" if is_own(z, own) and not reads(a, own) else ""
+        f"mix({_source_text(a.span)}, {_source_text(z.span)}, {_exp(math.log(known.number))})"
+        if is_own(z, own) and not reads(a, own)
+        else ""
     )
 
 
@@ -185,7 +191,7 @@ def _exp(rate: float) -> str:
     return f"exp({'-' if rate < 0 else ''}dt / {1 / abs(rate) / FPS:.3g} s)"
 
 
-def _a_second(text: str) -> str:
+def _per_second_text(text: str) -> str:
     """An amount a step as one a second: `1` as `24 /s`, `2 mm` as `48 mm/s`, `gain` as `gain * 24 /s`."""
     literal = QUANTITY.fullmatch(text)
     if literal is not None and "/" not in text:
@@ -193,17 +199,17 @@ def _a_second(text: str) -> str:
     return f"{text if _SIMPLE.fullmatch(text) else f'({text})'} * {FPS} /s"
 
 
-def _text(span: Span) -> str:
+def _source_text(span: Span) -> str:
     return " ".join(span.text.split())
 
 
-def _inside(span: Span, outer: Span) -> bool:
+def _is_inside(span: Span, outer: Span) -> bool:
     return span.source is outer.source and outer.start <= span.start and span.end <= outer.end
 
 
-def _replaced(outer: Span, span: Span, text: str) -> str:
+def _replace_part(outer: Span, span: Span, text: str) -> str:
     """The text of a place with a part of it replaced."""
-    if not _inside(span, outer):
+    if not _is_inside(span, outer):
         return ""
     prefix, suffix = outer.text[: span.start - outer.start], outer.text[span.end - outer.start :]
     return " ".join(f"{prefix}{text}{suffix}".split())

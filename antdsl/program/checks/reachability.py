@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Report
-from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.model import Ask, Machine, State
 from antdsl.program.tables.effects import EFFECTS
 
 
-def reachability(checked: Checked, report: Report) -> None:
+def check_reachability(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
         for machine in species.machines:
-            reached = _reached(machine)
+            reached = _reachable_states(machine)
             for state in machine.states:
                 if state.index not in reached:
-                    _unreachable(machine, state, report)
-                elif len(machine.states) > 1 and _stuck(state):
+                    _report_unreachable(machine, state, report)
+                elif len(machine.states) > 1 and _is_stuck(state):
                     report.warning(
                         "trap", f"nothing leads out of state `{state.name}`", state.span,
                         f"write `when … -> {machine.states[machine.start].name}` in it, or `die` if the animal leaves",
                     )  # fmt: skip
 
 
-def _reached(machine: Machine) -> set[int]:
+def _reachable_states(machine: Machine) -> set[int]:
     """Return the states that are reachable from the start state. `previous` leads only to states that were active before."""
     reached: set[int] = set()
     stack = [machine.start]
@@ -36,7 +36,7 @@ def _reached(machine: Machine) -> set[int]:
     return reached
 
 
-def _unreachable(machine: Machine, state: State, report: Report) -> None:
+def _report_unreachable(machine: Machine, state: State, report: Report) -> None:
     start = machine.states[machine.start].name
     report.warning(
         "unreachable-state",
@@ -46,6 +46,6 @@ def _unreachable(machine: Machine, state: State, report: Report) -> None:
     )
 
 
-def _stuck(state: State) -> bool:
+def _is_stuck(state: State) -> bool:
     leaves = any(isinstance(line, Ask) and EFFECTS[line.op].last for line in (*state.body, *state.enter))
     return not state.transitions and not leaves

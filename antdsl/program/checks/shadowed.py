@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.analysis.checked import Checked
-from antdsl.program.checks.analysis.conditions import Reader, always, implies, never
+from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.checks.analysis.conditions import ConditionReader, implies, is_always, is_never
 from antdsl.program.model import Expr, Transition
 from antdsl.program.types.folding import constant_behind
 from antdsl.source import Span
 
 
-def shadowed(checked: Checked, report: Report) -> None:
-    reader = Reader(checked.program.params)
+def check_shadowed(checked: CheckContext, report: Report) -> None:
+    reader = ConditionReader(checked.program.params)
     for species in checked.program.species.values():
         for machine in species.machines:
             above: dict[Span, list[Transition | None]] = {}  # `from any` stands in many states, and may count in some
             changes: dict[Span, Transition] = {}
             for state in machine.states:
                 for place, change in enumerate(state.transitions):
-                    first = next((each for each in state.transitions[:place] if _hides(reader, each, change)), None)
+                    first = next((each for each in state.transitions[:place] if _is_hiding(reader, each, change)), None)
                     above.setdefault(change.span, []).append(first)
                     changes[change.span] = change
             for span, earlier_changes in above.items():
@@ -26,8 +26,8 @@ def shadowed(checked: Checked, report: Report) -> None:
                     _report_shadowed(reader, changes[span], earlier_changes[0], report)
 
 
-def _report_shadowed(reader: Reader, change: Transition, first: Transition, report: Report) -> None:
-    certain = first.delay is None and first.held is None and always(reader, first.condition)
+def _report_shadowed(reader: ConditionReader, change: Transition, first: Transition, report: Report) -> None:
+    certain = first.delay is None and first.held is None and is_always(reader, first.condition)
     label = "this one always happens" if certain else "this one happens whenever it could"
     report.warning(
         "shadowed-change", "this change is never looked at", change.span,
@@ -36,16 +36,16 @@ def _report_shadowed(reader: Reader, change: Transition, first: Transition, repo
     )  # fmt: skip
 
 
-def _hides(reader: Reader, first: Transition, change: Transition) -> bool:
+def _is_hiding(reader: ConditionReader, first: Transition, change: Transition) -> bool:
     """Whether the upper one happens whenever the lower one could. One that takes something may find nothing to take."""
-    if first.take is not None or not _sooner(first.delay, change.delay) or not _sooner(first.held, change.held):
+    if first.take is not None or not _is_earlier(first.delay, change.delay) or not _is_earlier(first.held, change.held):
         return False
-    if change.condition is not None and never(reader, change.condition):
+    if change.condition is not None and is_never(reader, change.condition):
         return False  # that one is reported already, whatever is above it
     return implies(reader, change.condition, first.condition)
 
 
-def _sooner(first: Expr | None, other: Expr | None) -> bool:
+def _is_earlier(first: Expr | None, other: Expr | None) -> bool:
     """Return whether the first waiting time has passed whenever the other has."""
     if first is None:
         return True

@@ -6,31 +6,33 @@ import math
 from collections.abc import Iterator, Sequence
 
 from antdsl.diagnostics import Fix, Report
-from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.names.scope import FileNames
 from antdsl.program.tables.units import measure
-from antdsl.program.traverse import written
-from antdsl.program.types.descriptions import quoted
+from antdsl.program.traverse import written_nodes
+from antdsl.program.types.descriptions import quote_source
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 FPS = 24  # of film: what is written instead is as much, or as long, at this rate
 
 
-def steps(checked: Checked, report: Report) -> None:
+def check_step_units(checked: CheckContext, report: Report) -> None:
     if not checked.declared.strict:
         return
-    for file in _files(checked.files):
+    for file in _all_files(checked.files):
         around: dict[int, nodes.Setting | nodes.AnimalProperty] = {}
-        for part, _ in written(file.node.items):
+        for part, _ in written_nodes(file.node.items):
             if isinstance(part, nodes.Setting | nodes.AnimalProperty):
                 around[id(part.value)] = part
             elif isinstance(part, nodes.Quantity) and (known := measure(part.unit)) is not None and known.step:
-                fix, help = _instead(part, known.step, around.get(id(part)))
-                report.warning("per-step", f"{quoted(part.span)} depends on the frames per second", part.span, help, fix=fix)
+                fix, help = _replacement(part, known.step, around.get(id(part)))
+                report.warning(
+                    "per-step", f"{quote_source(part.span)} depends on the frames per second", part.span, help, fix=fix
+                )
 
 
-def _files(files: Sequence[FileNames]) -> Iterator[FileNames]:
+def _all_files(files: Sequence[FileNames]) -> Iterator[FileNames]:
     """The files of the program and those that they use by path, each once."""
     stack, visited = list(files), set[int]()
     while stack:
@@ -41,7 +43,9 @@ def _files(files: Sequence[FileNames]) -> Iterator[FileNames]:
             yield file
 
 
-def _instead(node: nodes.Quantity, power: float, around: nodes.Setting | nodes.AnimalProperty | None) -> tuple[Fix | None, str]:
+def _replacement(
+    node: nodes.Quantity, power: float, around: nodes.Setting | nodes.AnimalProperty | None
+) -> tuple[Fix | None, str]:
     """Return the replacement for a quantity in steps, and the text that describes it."""
     if isinstance(around, nodes.Setting) and around.name.text == "keeps":
         share = node.value * (0.01 if "%" in node.unit else 1.0)

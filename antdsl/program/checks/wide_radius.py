@@ -6,50 +6,55 @@ from collections.abc import Mapping
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.checks.analysis.ranges import range_of
-from antdsl.program.model import Const, Expr, Kind, Local, Param, ParamRef, Reduce, SetOf, Species
+from antdsl.program.model import BindingRef, Const, Expr, Kind, Param, ParamRef, Reduce, SetOf, Species
 from antdsl.program.traverse import parts
-from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 
 _LENGTHS = 1000  # of a body: beyond so many no neighbour is sensed
 _SIZE = 4.0  # mm, of a body where the program does not say
 
 
-def wide_radius(checked: Checked, report: Report) -> None:
+def check_wide_radius(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
-        size = _size(species, checked.program.params)
+        size = _max_body_size(species, checked.program.params)
         every = list(parts(species))
         one = {id(part.over) for part in every if isinstance(part, Reduce) and part.how == "nearest"}
         for part in every:
-            if not isinstance(part, SetOf) or not part.args or part.args[0] is None or not _of_agents(part, id(part) in one):
+            if (
+                not isinstance(part, SetOf)
+                or not part.args
+                or part.args[0] is None
+                or not _is_radius_search(part, id(part) in one)
+            ):
                 continue
             written = part.args[0]
             radius = _radius(written, checked.program.params)
             if radius is None or radius.u or radius.number <= _LENGTHS * size:
                 continue
-            own = [each.span for each in _names(written) if each.span.source.path == species.span.source.path]
+            own = [each.span for each in _named_values(written) if each.span.source.path == species.span.source.path]
             span = own[-1] if own else written.span
             report.warning(
                 "wide-radius",
-                f"within {quoted(span)} there are all agents: that is {radius.number / size:,.0f} body lengths",
+                f"within {quote_source(span)} there are all agents: that is {radius.number / size:,.0f} body lengths",
                 span,
                 f"write some body lengths, such as `3 * size`; of all within it the {limits.NEIGHBOURS} nearest count",
             )
 
 
-def _of_agents(part: SetOf, only_the_nearest: bool) -> bool:
+def _is_radius_search(part: SetOf, only_the_nearest: bool) -> bool:
     """Return whether a set goes through the agents within a radius. The nearest one of all is found without that."""
     if part.source == "neighbours":
         return True
     return part.source == "all" and part.element.type.kind is Kind.AGENT and not (only_the_nearest and part.where is None)
 
 
-def _names(expr: Expr) -> list[Expr]:
+def _named_values(expr: Expr) -> list[Expr]:
     """Return an expression and, if it is a name, the expressions behind it."""
     exprs = [expr]
-    while isinstance(expr, Local) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
+    while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
         exprs.append(expr)
     return exprs
@@ -57,11 +62,11 @@ def _names(expr: Expr) -> list[Expr]:
 
 def _radius(expr: Expr, params: Mapping[str, Param]) -> Const | None:
     """Return the constant value of a radius; a param counts by its default."""
-    last = _names(expr)[-1]
+    last = _named_values(expr)[-1]
     return constant_behind(params[last.name].default if isinstance(last, ParamRef) and last.name in params else last)
 
 
-def _size(species: Species, params: Mapping[str, Param]) -> float:
+def _max_body_size(species: Species, params: Mapping[str, Param]) -> float:
     """The largest that a body can be, in mm, as far as the program shows."""
     written = next((a.default for a in species.attributes if a.name == "size"), None)
     high = range_of(written, params, {}).high if written is not None else _SIZE

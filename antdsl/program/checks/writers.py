@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from antdsl.diagnostics import Label, Report
-from antdsl.program.checks.analysis.checked import Checked
+from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.model import Assign, Machine
 from antdsl.source import Span
 
 
-def writers(checked: Checked, report: Report) -> None:
+def check_writers(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
         first: dict[str, tuple[Machine, Span, bool]] = {}
         for machine in species.machines:
-            for name, span, sets in _writes(machine):
+            for name, span, sets in _written_attributes(machine):
                 known = first.get(name)
                 if known is None or known[0] is machine:
                     first[name] = (machine, span, sets or (known is not None and known[2]))
@@ -30,7 +30,7 @@ def writers(checked: Checked, report: Report) -> None:
                     break
 
 
-def _writes(machine: Machine) -> Iterator[tuple[str, Span, bool]]:
+def _written_attributes(machine: Machine) -> Iterator[tuple[str, Span, bool]]:
     """Attributes that a machine writes, and whether it sets them or only adds."""
     for state in machine.states:
         blocks = [state.body, state.enter, state.exit, *(change.actions for change in state.transitions)]

@@ -11,7 +11,7 @@ from antdsl.program.declarations.amounts import Block
 from antdsl.program.kinds import Dim, Kind, Type
 from antdsl.program.names.scope import NUMBER, TIME, Scope
 from antdsl.program.typed import Expr
-from antdsl.program.types.arguments import Slot, arranged, place, type_all
+from antdsl.program.types.arguments import Slot, arrange_arguments, place, type_arguments
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, value_of_type
 from antdsl.syntax import nodes
@@ -29,7 +29,7 @@ def wear(scope: Scope, line: nodes.Ask, block: Block) -> model.Wear | None:
     """`wear helmet`, `wear load when load > 0`; None after a complaint."""
     assert line.name is not None
     when = None if line.when is None else condition(scope, line.when, "`when`")
-    if _misplaced(scope, line, block) or (when is not None and when.type.kind is Kind.BAD):
+    if _is_misplaced(scope, line, block) or (when is not None and when.type.kind is Kind.BAD):
         return None
     return model.Wear(line.name.text, when, line.span)
 
@@ -38,7 +38,7 @@ def channel(scope: Scope, line: nodes.Ask, block: Block) -> model.Channel | None
     """`channel jaw = load`; None after a complaint."""
     assert line.name is not None and line.amount is not None
     value = value_of_type(scope, line.amount, NUMBER, f"`channel {line.name.text}`")
-    if _misplaced(scope, line, block) or value.type.kind is Kind.BAD:
+    if _is_misplaced(scope, line, block) or value.type.kind is Kind.BAD:
         return None
     return model.Channel(line.name.text, value, line.span)
 
@@ -46,16 +46,16 @@ def channel(scope: Scope, line: nodes.Ask, block: Block) -> model.Channel | None
 def look(scope: Scope, line: nodes.Ask, block: Block) -> model.Look | None:
     """`look head(at: meal, within: 60 deg, over: 0.2 s)`; None after a complaint."""
     assert line.name is not None
-    arguments_by_slot = arranged(scope, "look", _SLOTS, line, f"look {line.name.text}")
+    arguments_by_slot = arrange_arguments(scope, "look", _SLOTS, line, f"look {line.name.text}")
     if arguments_by_slot is None:
-        type_all(scope, line)
+        type_arguments(scope, line)
         return None
     argument_nodes = {name: arguments[0].value for name, arguments in arguments_by_slot.items()}
     at = place(scope, argument_nodes["at"], "`at` of `look`")
     within = value_of_type(scope, argument_nodes["within"], _ANGLE, "`within` of `look`") if "within" in argument_nodes else None
     over = value_of_type(scope, argument_nodes["over"], TIME, "`over` of `look`") if "over" in argument_nodes else None
     said = [each for each in (at, within, over) if each is not None]
-    if _misplaced(scope, line, block) or any(each.type.kind is Kind.BAD for each in said):
+    if _is_misplaced(scope, line, block) or any(each.type.kind is Kind.BAD for each in said):
         return None
     widest = None if within is None else constant_behind(within)
     if within is not None and widest is not None and not 0 < widest.number <= _WIDEST:
@@ -67,7 +67,7 @@ def look(scope: Scope, line: nodes.Ask, block: Block) -> model.Look | None:
     return model.Look(line.name.text, at, within, over, line.span)
 
 
-def said_once(scope: Scope, node: nodes.State) -> None:
+def check_duplicates(scope: Scope, node: nodes.State) -> None:
     """Report a state that sets a channel twice, or turns one transform group to two places."""
     first: dict[tuple[str, str], nodes.Ask] = {}
     for line in node.body:
@@ -83,7 +83,7 @@ def said_once(scope: Scope, node: nodes.State) -> None:
             )  # fmt: skip
 
 
-def _misplaced(scope: Scope, line: nodes.Ask, block: Block) -> bool:
+def _is_misplaced(scope: Scope, line: nodes.Ask, block: Block) -> bool:
     """Whether a line stands in an action, after a complaint."""
     if not block.body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"
@@ -98,9 +98,9 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
     """`play walk`, `play walk(speed: 0.5)`, `play wave(on: arms, weight: 0.8)`; None after a complaint."""
     assert line.name is not None
     clip = line.name.text
-    arguments_by_slot = arranged(scope, "play", _CLIP_SLOTS, line, f"play {clip}") if line.arguments else {}
+    arguments_by_slot = arrange_arguments(scope, "play", _CLIP_SLOTS, line, f"play {clip}") if line.arguments else {}
     if arguments_by_slot is None:
-        type_all(scope, _without_names(line))
+        type_arguments(scope, _without_names(line))
         return None
     if not block.body:
         scope.report.error(
@@ -117,10 +117,10 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
             if name in _NUMBERS
             else condition(scope, argument_nodes[name], who)
         )
-    names = {name: _name(scope, clip, name, argument_nodes[name]) for name in _NAMES if name in argument_nodes}
+    names = {name: _name_argument(scope, clip, name, argument_nodes[name]) for name in _NAMES if name in argument_nodes}
     if any(each.type.kind is Kind.BAD for each in said.values()) or None in names.values():
         return None
-    if not all([_sensible(scope, clip, name, each) for name, each in said.items()]):
+    if not all([_is_valid_value(scope, clip, name, each) for name, each in said.items()]):
         return None
     add = constant_behind(said["add"]) if "add" in said else None
     on, left, right, up, down = (names.get(name) or "" for name in _NAMES)
@@ -136,7 +136,7 @@ def _without_names(line: nodes.Ask) -> nodes.Ask:
     return replace(line, arguments=tuple(each for each, of_body in zip(line.arguments, named, strict=True) if not of_body))
 
 
-def _name(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> str | None:
+def _name_argument(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> str | None:
     """Return a name of the body in an argument; None after an error."""
     if isinstance(node, nodes.NameRef):
         return node.name.text
@@ -148,7 +148,7 @@ def _name(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> str | Non
     return None
 
 
-def _sensible(scope: Scope, clip: str, argument: str, expr: Expr) -> bool:
+def _is_valid_value(scope: Scope, clip: str, argument: str, expr: Expr) -> bool:
     """Return whether a value suits its argument; report an error for an unsuitable constant."""
     known = constant_behind(expr)
     text = " ".join(expr.span.text.split())
@@ -164,7 +164,7 @@ def _sensible(scope: Scope, clip: str, argument: str, expr: Expr) -> bool:
     return not words
 
 
-def one_clip(scope: Scope, node: nodes.State) -> None:
+def check_single_clip(scope: Scope, node: nodes.State) -> None:
     """Complain about a state that plays several clips."""
     lines = [line for line in node.body if isinstance(line, nodes.Ask) and line.verb == "play"]
     for line in lines[1:]:

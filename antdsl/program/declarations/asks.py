@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from antdsl.program import model
-from antdsl.program.declarations.amounts import Block, added
+from antdsl.program.declarations.amounts import Block, amount_or_rate
 from antdsl.program.kinds import Kind, Type
 from antdsl.program.names.collect import EVENTS
-from antdsl.program.names.scope import BAD, Scope, bad, did_you_mean, is_known_missing, type_from_words
-from antdsl.program.tables.defaults import default_of
+from antdsl.program.names.scope import BAD, Scope, bad_expression, did_you_mean, is_known_missing, type_from_words
+from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.effects import EFFECTS, Effect
 from antdsl.program.tables.rows import Arg
 from antdsl.program.tables.things import KINDS_OF_THINGS
-from antdsl.program.tables.units import measure, unit_of
+from antdsl.program.tables.units import default_unit, measure
 from antdsl.program.typed import Expr
-from antdsl.program.types.arguments import Slot, arranged, type_all
-from antdsl.program.types.calls import within_row
-from antdsl.program.types.descriptions import mismatch, quoted
+from antdsl.program.types.arguments import Slot, arrange_arguments, type_arguments
+from antdsl.program.types.calls import check_row_limits
+from antdsl.program.types.descriptions import quote_source, report_mismatch
 from antdsl.program.types.operators import value, value_of_type
 from antdsl.syntax import nodes
 
@@ -27,18 +27,18 @@ def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
     row = EFFECTS[line.verb]
     of = line.name.text if line.name is not None else ""
     form = f"{row.op} {of}".rstrip()
-    written = _written(scope, row, line, form)
+    written = _written_arguments(scope, row, line, form)
     argument_nodes = written or {}
-    args = [_number(scope, row, line, arg, argument_nodes, block, form) for arg in row.numbers]
+    args = [_argument_value(scope, row, line, arg, argument_nodes, block, form) for arg in row.numbers]
     own = next(
         (
-            _own(scope, row, arg, argument_nodes[arg.name])
+            _own_attribute(scope, row, arg, argument_nodes[arg.name])
             for arg in row.args
             if arg not in row.numbers and arg.name in argument_nodes
         ),
         None,
     )
-    if not _is_declared(scope, row, line.name) or written is None or _lacks(scope, row, line, written, form):
+    if not _is_declared(scope, row, line.name) or written is None or _reports_missing(scope, row, line, written, form):
         return None
     if row.too_often and block.body:
         scope.report.error(
@@ -49,7 +49,7 @@ def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
     for arg, arg_value in zip(row.numbers, args, strict=True):
         if arg_value is not None:
             sample = f"{form}({arg.name}: {arg.sample})" if arg.sample else ""
-            within_row(scope, arg, f"`{arg.name}` of `{row.op}`", arg_value.span, arg_value, sample)
+            check_row_limits(scope, arg, f"`{arg.name}` of `{row.op}`", arg_value.span, arg_value, sample)
     if any(arg_value is not None and arg_value.type.kind is Kind.BAD for arg_value in args):
         return None
     per_second = block.body and line.amount is not None and args[0] is not None and args[0].type != argument_type(row.numbers[0])
@@ -65,7 +65,7 @@ def argument_type(arg: Arg) -> Type:
     return type_from_words(rest if first in ("added", "own") else arg.type) or BAD
 
 
-def _written(scope: Scope, row: Effect, line: nodes.Ask, form: str) -> Written | None:
+def _written_arguments(scope: Scope, row: Effect, line: nodes.Ask, form: str) -> Written | None:
     """Return the argument nodes by name; None after an error."""
     if line.amount is not None:
         return {row.args[0].name: line.amount}
@@ -73,24 +73,26 @@ def _written(scope: Scope, row: Effect, line: nodes.Ask, form: str) -> Written |
     if not line.arguments:
         return behind
     slots = [Slot(arg.name, required=arg.default is None and not arg.optional) for arg in row.args if arg.type != "agent"]
-    arguments_by_slot = arranged(scope, row.op, slots, line, form)
+    arguments_by_slot = arrange_arguments(scope, row.op, slots, line, form)
     if arguments_by_slot is None:
-        type_all(scope, line)
+        type_arguments(scope, line)
         return None
     return {name: arguments[0].value for name, arguments in arguments_by_slot.items()} | behind
 
 
-def _number(scope: Scope, row: Effect, line: nodes.Ask, arg: Arg, written: Written, block: Block, form: str) -> Expr | None:
+def _argument_value(
+    scope: Scope, row: Effect, line: nodes.Ask, arg: Arg, written: Written, block: Block, form: str
+) -> Expr | None:
     """Return the value of an argument; None if it is absent, BAD after an error."""
     node = written.get(arg.name)
     if node is None:
-        return None if arg.default is None else default_of(scope, arg.default, line.span)[0]
+        return None if arg.default is None else default_values(scope, arg.default, line.span)[0]
     if arg.type == "agent":
         return _recipient(scope, row, line, node)
     if not arg.type.startswith("added "):
         return value_of_type(scope, node, argument_type(arg), f"`{arg.name}` of `{row.op}`")
-    level = row.target == "field" and line.name is not None and _keeps_greatest(scope, line.name.text)
-    return added(scope, node, argument_type(arg), block, f"{form} ", level=level) or bad(node.span)
+    level = row.target == "field" and line.name is not None and _combines_by_max(scope, line.name.text)
+    return amount_or_rate(scope, node, argument_type(arg), block, f"{form} ", level=level) or bad_expression(node.span)
 
 
 def _recipient(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> Expr:
@@ -104,22 +106,22 @@ def _recipient(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> 
             "wrong-kind", f"`{text}` is a whole species, and `{row.op} … to` is for one agent", node.span,
             f"say which one: `to nearest({text})`",
         )  # fmt: skip
-        return bad(node.span)
+        return bad_expression(node.span)
     if expr.type.kind is not Kind.AGENT:
-        mismatch(scope.report, node, expr.type, Type(Kind.AGENT), f"`{row.op} … to`")
-        return bad(node.span)
+        report_mismatch(scope.report, node, expr.type, Type(Kind.AGENT), f"`{row.op} … to`")
+        return bad_expression(node.span)
     if expr.type.of is None:
         scope.report.error(
-            "wrong-argument", f"it is not known of which species {quoted(node.span)} is", node.span,
+            "wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span,
             "name the species where the agent is looked for, such as `nearest(neighbours(20 mm, of: rabbit))`",
         )  # fmt: skip
-        return bad(node.span)
+        return bad_expression(node.span)
     if line.name is not None:
-        scope.use("told", f"{line.name.text} {expr.type.of}")
+        scope.mark_used("told", f"{line.name.text} {expr.type.of}")
     return expr
 
 
-def _own(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str | None:
+def _own_attribute(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str | None:
     """The attribute of the agent's that an argument names."""
     species, want = scope.species, argument_type(arg)
     assert species is not None
@@ -132,16 +134,16 @@ def _own(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str | None:
         return name
     who = f"`{arg.name}` of `{row.op}`"
     if type is not None:
-        mismatch(scope.report, node, type, want, who)
+        report_mismatch(scope.report, node, type, want, who)
     else:
         scope.report.error(
-            "unknown-name", f"{who} names an attribute of `{species.name}`, and {quoted(node.span)} is none",
-            node.span, f"declare it: `{name or arg.sample} = 0 {unit_of(want.dim)}` in `species {species.name}`",
+            "unknown-name", f"{who} names an attribute of `{species.name}`, and {quote_source(node.span)} is none",
+            node.span, f"declare it: `{name or arg.sample} = 0 {default_unit(want.dim)}` in `species {species.name}`",
         )  # fmt: skip
     return None
 
 
-def _lacks(scope: Scope, row: Effect, line: nodes.Ask, written: Written, form: str) -> bool:
+def _reports_missing(scope: Scope, row: Effect, line: nodes.Ask, written: Written, form: str) -> bool:
     """Report a line without brackets that needs them."""
     missing = [arg for arg in row.args if arg.default is None and not arg.optional and arg.name not in written]
     if missing:
@@ -156,7 +158,7 @@ def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
     if name is None:
         return True
     declared, text = scope.declared, name.text
-    scope.use(row.op, text)
+    scope.mark_used(row.op, text)
     match row.target:
         case "event":
             if text in EVENTS:
@@ -176,13 +178,13 @@ def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
             known, otherwise = [t.name for t in declared.things.values() if t.kind in serves], f"world {{ {word} {text} }}"
             kind, code, message = "thing", "unknown-name", f"no {word} `{text}` to {row.op}"
     if text in known:
-        scope.use(kind, text)
+        scope.mark_used(kind, text)
     elif kind != "field" or not is_known_missing(scope, "name", name):
         scope.report.error(code, message, name.span, did_you_mean(text, known, otherwise and f"declare it: `{otherwise}`"))
     return text in known
 
 
-def _keeps_greatest(scope: Scope, name: str) -> bool:
+def _combines_by_max(scope: Scope, name: str) -> bool:
     """Return whether a field has `combine max`. Nothing is added there, so a line of a state may set a lower bound for its
     cell."""
     field = scope.declared.fields.get(name)

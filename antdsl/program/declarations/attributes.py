@@ -8,11 +8,20 @@ from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program import model
 from antdsl.program.declarations.behaviours import declared_type
 from antdsl.program.model import Expr, Kind
-from antdsl.program.names.ordering import ordered
-from antdsl.program.names.scope import BAD, Keys, Scope, bad, did_you_mean, duplicate, is_known_missing, type_from_words
-from antdsl.program.tables.defaults import node_of
+from antdsl.program.names.ordering import order_declarations
+from antdsl.program.names.scope import (
+    BAD,
+    Scope,
+    StableKeys,
+    bad_expression,
+    did_you_mean,
+    is_known_missing,
+    report_duplicate,
+    type_from_words,
+)
+from antdsl.program.tables.defaults import parse_product
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, OTHER_SENSES, REDUCERS
-from antdsl.program.types.descriptions import quoted, type_words
+from antdsl.program.types.descriptions import quote_source, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import value, value_of_type
 from antdsl.source import Span
@@ -33,25 +42,25 @@ def attributes(scope: Scope, node: nodes.Species) -> list[model.AttributeDecl]:
     for name, row in BUILTIN_ATTRIBUTES.items():
         if row.settable and row.default is not None:
             declared[name] = nodes.AnimalProperty(
-                nodes.Name(name, node.name.span), node_of(row.default, node.name.span), None, node.name.span
+                nodes.Name(name, node.name.span), parse_product(row.default, node.name.span), None, node.name.span
             )
     written: dict[str, Span] = {}
     for member in node.members:
         if isinstance(member, nodes.AnimalProperty):
             if member.name.text in written:
-                duplicate(scope.report, "property", member.name, written[member.name.text])
-            if _settable(scope, member):
+                report_duplicate(scope.report, "property", member.name, written[member.name.text])
+            if _is_settable(scope, member):
                 declared[member.name.text] = member
             written.setdefault(member.name.text, member.name.span)
         elif isinstance(member, nodes.Declaration) and member.name.text not in BUILTIN_ATTRIBUTES:
             declared.setdefault(member.name.text, member)
-    order, circular = ordered(scope.report, "starting values", declared, lambda d: [d.value], lambda d: d.name)
+    order, circular = order_declarations(scope.report, "starting values", declared, lambda d: [d.value], lambda d: d.name)
     declarations = [_attribute(scope, each, each.name.text in circular) for each in order]
-    _speeds(scope, declarations, declared)
+    _check_speeds(scope, declarations, declared)
     return declarations
 
 
-def _speeds(
+def _check_speeds(
     scope: Scope, declarations: list[model.AttributeDecl], declared: Mapping[str, nodes.Declaration | nodes.AnimalProperty]
 ) -> None:
     """Check that the lowest speed of a species is not above the highest, if both are known."""
@@ -61,16 +70,16 @@ def _speeds(
         return
     place, fastest = declared["min_speed"].value.span, declared["max_speed"]
     usual = fastest.span == fastest.name.span  # it is what it is where nothing is written
-    text = f"`{BUILTIN_ATTRIBUTES['max_speed'].default}`" if usual else quoted(fastest.value.span)
+    text = f"`{BUILTIN_ATTRIBUTES['max_speed'].default}`" if usual else quote_source(fastest.value.span)
     scope.report.error("out-of-range", f"`min_speed` is more than `max_speed`, which is {text}", place, f"write {text} or less")
 
 
-def _settable(scope: Scope, member: nodes.AnimalProperty) -> bool:
+def _is_settable(scope: Scope, member: nodes.AnimalProperty) -> bool:
     row, name = BUILTIN_ATTRIBUTES.get(member.name.text), member.name
     if row is not None and row.settable:
         return True
     known = [n for n, g in BUILTIN_ATTRIBUTES.items() if g.settable]
-    if row is None and scope.species and isinstance(member.value, nodes.NameRef) and names_state(scope, member.value.name.text):
+    if row is None and scope.species and isinstance(member.value, nodes.NameRef) and is_state_name(scope, member.value.name.text):
         known = ["start"]  # `strat search`: only that word is followed by a state
         if nearest_name(name.text, known):
             scope.report.error("unknown-property", f"an animal has no property `{name.text}`", name.span, "did you mean `start`?")
@@ -84,14 +93,15 @@ def _settable(scope: Scope, member: nodes.AnimalProperty) -> bool:
             "unknown-property",
             f"an animal has no property `{name.text}`",
             name.span,
-            _belongs(name.text) or did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
+            _correct_place(name.text)
+            or did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
         )
         is_known_missing(scope, "name", name)  # it was to be declared here
-    value(scope.inside(runs_once=True), member.value)
+    value(scope.with_changes(runs_once=True), member.value)
     return False
 
 
-def _belongs(word: str) -> str | None:
+def _correct_place(word: str) -> str | None:
     """Return where a line belongs that begins with a sense or another word of the language; no attribute can have such a name."""
     if word in OTHER_SENSES:
         return f"write the sense where its value is needed: {OTHER_SENSES[word].replace('X', 'food')}"
@@ -100,24 +110,24 @@ def _belongs(word: str) -> str | None:
     return f"`{word}` is a word of the language and begins no line here" if word in WORDS else None
 
 
-def names_state(scope: Scope, word: str) -> bool:
+def is_state_name(scope: Scope, word: str) -> bool:
     return scope.species is not None and any(word in machine.states for machine in scope.species.machines.values())
 
 
 def _attribute(scope: Scope, node: nodes.Declaration | nodes.AnimalProperty, circular: bool) -> model.AttributeDecl:
     names, name = scope.species, node.name.text
     assert names is not None
-    inner = scope.inside(keys=Keys(f"{names.name}.{name}"), no_let=_EARLY, runs_once=True)
+    inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"), no_let=_EARLY, runs_once=True)
     help = node.help.text if node.help else ""
     if isinstance(node, nodes.AnimalProperty):
         type = type_from_words(BUILTIN_ATTRIBUTES[name].type) or BAD
-        default = bad(node.value.span) if circular else value_of_type(inner, node.value, type, f"`{name}`")
-        _positive(scope, node, default)
+        default = bad_expression(node.value.span) if circular else value_of_type(inner, node.value, type, f"`{name}`")
+        _check_positive(scope, node, default)
         return model.AttributeDecl(name, type, default, True, help, node.name.span)
     stated = declared_type(scope, node.type) if node.type is not None else None
     stated = None if stated == BAD else stated
     if circular:
-        default = bad(node.value.span)
+        default = bad_expression(node.value.span)
     else:
         default = value(inner, node.value) if stated is None else value_of_type(inner, node.value, stated, f"`{name}`")
     type = stated or default.type
@@ -142,8 +152,8 @@ def _attribute(scope: Scope, node: nodes.Declaration | nodes.AnimalProperty, cir
     return model.AttributeDecl(name, type, default, False, help, node.name.span)
 
 
-def _positive(scope: Scope, node: nodes.AnimalProperty, default: Expr) -> None:
+def _check_positive(scope: Scope, node: nodes.AnimalProperty, default: Expr) -> None:
     constant = constant_behind(default)
     if constant is not None and (constant.number < 0 or (constant.number == 0 and node.name.text not in _MAY_BE_0)):
         help = "write 0 or more" if node.name.text in _MAY_BE_0 else "write more than 0"
-        scope.report.error("out-of-range", f"`{node.name.text}` cannot be {quoted(node.value.span)}", node.value.span, help)
+        scope.report.error("out-of-range", f"`{node.name.text}` cannot be {quote_source(node.value.span)}", node.value.span, help)

@@ -6,23 +6,23 @@ from collections.abc import Mapping
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
-from antdsl.program.model import Binding, Expr, Inline, Kind, Op, Rate, Type
+from antdsl.program.model import Binding, Expr, InlinedBehaviour, Kind, Op, Rate, Type
 from antdsl.program.names.scope import (
     BAD,
     BehaviourInfo,
     Declared,
-    Keys,
     Scope,
-    bad,
+    StableKeys,
+    bad_expression,
     did_you_mean,
-    duplicate,
     rate_of,
+    report_duplicate,
     type_from_words,
 )
 from antdsl.program.tables.vocabulary import BUILTINS, TYPE_WORDS
-from antdsl.program.traverse import written
-from antdsl.program.types.arguments import Slot, arranged, place, type_all
-from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
+from antdsl.program.traverse import written_nodes
+from antdsl.program.types.arguments import Slot, arrange_arguments, place, type_arguments
+from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
 from antdsl.program.types.expressions import THINGS
 from antdsl.program.types.operators import value, value_of_type
 from antdsl.syntax import nodes
@@ -35,7 +35,7 @@ _DEEPEST = 100  # of behaviours inside behaviours, counted in operations
 # --- what a behaviour costs ------------------------------------------------------------------------------------------
 
 
-def prepare(report: Report, info: BehaviourInfo) -> None:
+def measure_behaviour(report: Report, info: BehaviourInfo) -> None:
     """Compute the sizes of a behaviour and of all that it calls, from the bottom up; a circle of calls is reported once, with its
     names."""
     stack: list[tuple[BehaviourInfo, int]] = [(info, 0)]
@@ -52,7 +52,7 @@ def prepare(report: Report, info: BehaviourInfo) -> None:
             stack.append((each, step + 1))
             called = each.calls[step]
             if called.state == "sizing":
-                _circle(report, path[path.index(called) :])
+                _report_circle(report, path[path.index(called) :])
             elif called.state == "new":
                 stack.append((called, 0))
             continue
@@ -61,7 +61,7 @@ def prepare(report: Report, info: BehaviourInfo) -> None:
 
 
 def _measure(info: BehaviourInfo) -> None:
-    for part, depth in written(info.node):
+    for part, depth in written_nodes(info.node):
         info.size += 1
         info.depth = max(info.depth, depth)
         if isinstance(part, nodes.Keep):
@@ -71,12 +71,12 @@ def _measure(info: BehaviourInfo) -> None:
         elif isinstance(part, nodes.Call):
             if isinstance(part.function, nodes.NameRef) and part.function.name.text in _DRAWING:
                 info.draws = True
-            called = _resolve(info, part)
+            called = _find_behaviour(info, part)
             if called is not None:
                 info.calls.append(called)
 
 
-def _resolve(info: BehaviourInfo, call: nodes.Call) -> BehaviourInfo | None:
+def _find_behaviour(info: BehaviourInfo, call: nodes.Call) -> BehaviourInfo | None:
     function = call.function
     if isinstance(function, nodes.NameRef):
         return None if function.name.text in BUILTINS else info.file.behaviour(function.name.text)
@@ -104,7 +104,7 @@ def _add_up(report: Report, info: BehaviourInfo) -> None:
         info.state = "circular"
 
 
-def _circle(report: Report, circle: list[BehaviourInfo]) -> None:
+def _report_circle(report: Report, circle: list[BehaviourInfo]) -> None:
     names = " → ".join(f"`{each.node.name.text}`" for each in [*circle, circle[0]])
     report.error(
         "circle",
@@ -124,7 +124,7 @@ def check_behaviour(declared: Declared, info: BehaviourInfo, complain: bool = Tr
     if info.state in ("ok", "broken"):
         return info.state == "ok"
     report = Report()
-    prepare(report, info)
+    measure_behaviour(report, info)
     for called in info.calls:
         if called.state == "sized" and called is not info:
             check_behaviour(declared, called)
@@ -141,21 +141,21 @@ def check_behaviour(declared: Declared, info: BehaviourInfo, complain: bool = Tr
 
 def _check_parts(declared: Declared, info: BehaviourInfo, report: Report) -> None:
     node, name = info.node, info.node.name.text
-    scope = Scope(declared, info.file, Keys(name), report, behaviour=name, generic=True)
+    scope = Scope(declared, info.file, StableKeys(name), report, behaviour=name, generic=True)
     local: dict[str, Binding | Expr] = {}
     for argument in node.arguments:
         if argument.name.text in local:
-            duplicate(
+            report_duplicate(
                 report, "argument", argument.name, next(a for a in node.arguments if a.name.text == argument.name.text).name.span
             )
         type = argument_type(scope, argument)
         if argument.default is not None:
-            _argument_value(scope.inside(locals=dict(local)), name, argument, argument.default, type)
+            _argument_value(scope.with_changes(locals=dict(local)), name, argument, argument.default, type)
         local[argument.name.text] = Binding(argument.name.text, "argument", type, Rate.AGENT, argument.name.span)
-    body, result = _body(scope.inside(locals=local), info)
+    body, result = _body(scope.with_changes(locals=local), info)
     returns = returned_type(scope, node)
-    if not fits(result.type, returns):
-        mismatch(report, node.result, result.type, returns, f"`{name}`")
+    if not is_compatible(result.type, returns):
+        report_mismatch(report, node.result, result.type, returns, f"`{name}`")
     if not report.ok or info.file.node.broken:
         return  # what is wrong may have been their use
     for argument in node.arguments:
@@ -200,18 +200,18 @@ def _body(scope: Scope, info: BehaviourInfo) -> tuple[list[Binding], Expr]:
     bindings: list[Binding] = []
     local = dict(scope.locals)
     for line in info.node.body:
-        line_scope = scope.inside(locals=dict(local))
+        line_scope = scope.with_changes(locals=dict(local))
         if line.name.text in local:
             first = next((b.span for b in bindings if b.name == line.name.text), info.node.name.span)
-            duplicate(scope.report, "name", line.name, first)
+            report_duplicate(scope.report, "name", line.name, first)
         binding = _keep(line_scope, line) if isinstance(line, nodes.Keep) else _let(line_scope, line)
         local[line.name.text] = binding
         bindings.append(binding)
-    return bindings, value(scope.inside(locals=local), info.node.result, returned_type(scope, info.node))
+    return bindings, value(scope.with_changes(locals=local), info.node.result, returned_type(scope, info.node))
 
 
 def _let(scope: Scope, line: nodes.Let) -> Binding:
-    expr = scope.typed(line.value)
+    expr = scope.type_expression(line.value)
     return Binding(line.name.text, "let", expr.type, expr.rate, line.name.span, expr)
 
 
@@ -229,7 +229,7 @@ def _keep(scope: Scope, line: nodes.Keep) -> Binding:
         )
     key = f"{scope.keys.path}.{line.name.text}"
     binding = Binding(line.name.text, "keep", type, Rate.AGENT, line.name.span, first, None, key)
-    inner = scope.inside(locals={**scope.locals, line.name.text: binding})
+    inner = scope.with_changes(locals={**scope.locals, line.name.text: binding})
     # the next value may read the one before, so the binding is there first and is closed here, still inside this function
     object.__setattr__(binding, "then", value_of_type(inner, line.then, type, who))
     return binding
@@ -240,36 +240,36 @@ def _keep(scope: Scope, line: nodes.Keep) -> Binding:
 
 def call_behaviour(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
     """The behaviour put in place of its call."""
-    info = _called(scope, node.function)
+    info = _called_behaviour(scope, node.function)
     if info is None:
-        type_all(scope, node)
-        return bad(node.span)
+        type_arguments(scope, node)
+        return bad_expression(node.span)
     name = info.node.name.text
-    scope.use("behaviour", f"{info.node.name.span}")
-    _bind(scope, info, node)
+    scope.mark_used("behaviour", f"{info.node.name.span}")
+    _bind_names(scope, info, node)
     if not check_behaviour(scope.declared, info):
-        type_all(scope, node)
-        return bad(node.span)
+        type_arguments(scope, node)
+        return bad_expression(node.span)
     slots = [Slot(a.name.text, a.default is None) for a in info.node.arguments]
-    arguments_by_slot = arranged(scope, name, slots, node)
+    arguments_by_slot = arrange_arguments(scope, name, slots, node)
     if arguments_by_slot is None:
-        type_all(scope, node)
-        return bad(node.span)
-    if not _allowed(scope, info, node):
-        return bad(node.span)
+        type_arguments(scope, node)
+        return bad_expression(node.span)
+    if not _is_allowed(scope, info, node):
+        return bad_expression(node.span)
     if scope.generic:
-        return _by_itself(scope, info, node, {slot: arguments[0].value for slot, arguments in arguments_by_slot.items()})
-    return _in_place(scope, info, node, {slot: arguments[0].value for slot, arguments in arguments_by_slot.items()})
+        return _check_call(scope, info, node, {slot: arguments[0].value for slot, arguments in arguments_by_slot.items()})
+    return _expand_call(scope, info, node, {slot: arguments[0].value for slot, arguments in arguments_by_slot.items()})
 
 
-def call_unwritten(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> Expr:
+def call_implicitly(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> Expr:
     """Return a behaviour without arguments, expanded for a call that the language itself makes; `node` gives the place."""
-    if not check_behaviour(scope.declared, info) or not _allowed(scope, info, node):
-        return bad(node.span)
-    return _in_place(scope, info, node, {})
+    if not check_behaviour(scope.declared, info) or not _is_allowed(scope, info, node):
+        return bad_expression(node.span)
+    return _expand_call(scope, info, node, {})
 
 
-def _bind(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> None:
+def _bind_names(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> None:
     """Bind the names in a call: a module, the behaviour, and its arguments."""
     path, name, function = info.file.node.source.path, info.node.name.text, node.function
     if isinstance(function, nodes.Member) and isinstance(function.owner, nodes.NameRef):
@@ -280,7 +280,7 @@ def _bind(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> None:
             scope.bind(argument.name.span, "inner", path, name, argument.name.text)
 
 
-def _called(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:
+def _called_behaviour(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:
     if isinstance(function, nodes.NameRef):
         return scope.file.behaviour(function.name.text)
     assert isinstance(function, nodes.Member)
@@ -290,7 +290,7 @@ def _called(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:
         advice = f'bring it: `use "./{alias}.ant" as {alias}`' if alias else "only the behaviours of a used file are called so"
         scope.report.error(
             "unknown-module",
-            f"no file is used as {quoted(function.owner.span)}",
+            f"no file is used as {quote_source(function.owner.span)}",
             function.owner.span,
             did_you_mean(alias or "", scope.file.aliases, advice),
         )
@@ -306,7 +306,7 @@ def _called(scope: Scope, function: nodes.Expr) -> BehaviourInfo | None:
     return info
 
 
-def _allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
+def _is_allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
     """Return whether the call may appear here. Memory and draws are not allowed everywhere, and the expanded size is limited."""
     name, declared = info.node.name.text, scope.declared
     if info.keeps and scope.no_keep:
@@ -337,9 +337,9 @@ def _allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
     return True
 
 
-def _by_itself(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
+def _check_call(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
     """Type a call inside a behaviour that is checked alone: the arguments count, its body was checked separately."""
-    quiet = scope.inside(report=Report())
+    quiet = scope.with_changes(report=Report())
     for argument in info.node.arguments:
         if argument.name.text in argument_nodes:
             _argument_value(
@@ -348,11 +348,11 @@ def _by_itself(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_nod
     return Op(returned_type(quiet, info.node), Rate.ELEMENT if scope.sets else Rate.AGENT, node.span, "call", ())
 
 
-def _in_place(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
+def _expand_call(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_nodes: Mapping[str, nodes.Expr]) -> Expr:
     name = info.node.name.text
     key = scope.keys.next(name)
     report = Report()
-    inner = scope.inside(file=info.file, keys=Keys(key), report=report, behaviour=name, locals={}, element=None)
+    inner = scope.with_changes(file=info.file, keys=StableKeys(key), report=report, behaviour=name, locals={}, element=None)
     arguments: list[Binding] = []
     local: dict[str, Binding | Expr] = {}
     for argument in info.node.arguments:
@@ -362,23 +362,23 @@ def _in_place(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_node
             expr = _argument_value(scope, name, argument, node_given, type)
         else:
             assert argument.default is not None
-            expr = _argument_value(inner.inside(locals=dict(local)), name, argument, argument.default, type)
+            expr = _argument_value(inner.with_changes(locals=dict(local)), name, argument, argument.default, type)
         if expr.type.kind is Kind.BAD:
-            type_all(scope, node)
-            return bad(node.span)
+            type_arguments(scope, node)
+            return bad_expression(node.span)
         if expr.type.kind in THINGS:
             local[argument.name.text] = expr
             continue
         binding = Binding(argument.name.text, "argument", expr.type, expr.rate, argument.name.span, expr)
         local[argument.name.text] = binding
         arguments.append(binding)
-    body, result = _body(inner.inside(locals=local), info)
+    body, result = _body(inner.with_changes(locals=local), info)
     if not report.ok:
         first = report.errors[0]
         labels = (Label(first.span, "here"),) if first.span is not None else ()
         scope.report.error(first.code, f"`{name}` cannot be used so: {first.message}", node.span, first.help, labels=labels)
-        return bad(node.span)
-    return Inline(
+        return bad_expression(node.span)
+    return InlinedBehaviour(
         result.type, max(result.rate, rate_of(b.value for b in body)), node.span, name, key, tuple(arguments), tuple(body), result
     )
 
@@ -390,9 +390,9 @@ def _argument_value(scope: Scope, called: str, argument: nodes.BehaviourArgument
     if type.kind is Kind.BAD:
         return value(scope, node)
     if type.kind in THINGS:
-        expr = scope.typed(node, type)
-        if fits(expr.type, type) or (type.kind is Kind.OBSTACLE and expr.type.kind in (Kind.SURFACE, Kind.SOLID)):
+        expr = scope.type_expression(node, type)
+        if is_compatible(expr.type, type) or (type.kind is Kind.OBSTACLE and expr.type.kind in (Kind.SURFACE, Kind.SOLID)):
             return expr
-        mismatch(scope.report, node, expr.type, type, who)
-        return bad(node.span)
+        report_mismatch(scope.report, node, expr.type, type, who)
+        return bad_expression(node.span)
     return value_of_type(scope, node, type, who)

@@ -9,16 +9,26 @@ from antdsl import limits
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import ACTION, BODY
-from antdsl.program.declarations.appearance import one_clip, said_once
-from antdsl.program.declarations.statements import statements, take
-from antdsl.program.memo import part
+from antdsl.program.declarations.appearance import check_duplicates, check_single_clip
+from antdsl.program.declarations.statements import check_statements, take
+from antdsl.program.memo import cached_part
 from antdsl.program.model import Binding, Expr
-from antdsl.program.names.scope import NUMBER, TIME, Keys, MachineNames, Scope, bad, did_you_mean, duplicate, listed
+from antdsl.program.names.scope import (
+    NUMBER,
+    TIME,
+    MachineNames,
+    Scope,
+    StableKeys,
+    bad_expression,
+    did_you_mean,
+    list_names,
+    report_duplicate,
+)
 from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
-from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, value_of_type
-from antdsl.program.types.states import unknown_state
+from antdsl.program.types.states import report_unknown_state
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -27,25 +37,27 @@ Member = nodes.State | nodes.Start | nodes.Change | nodes.Let | nodes.Latch
 
 def machine(scope: Scope, names: MachineNames, members: Sequence[object], span: Span) -> model.Machine:
     """A machine with its states; `span` is where it is named."""
-    scope = scope.inside(machine=names)
+    scope = scope.with_changes(machine=names)
     states = [m for m in members if isinstance(m, nodes.State)]
     known = (names.key, *(scope.species.bindings.values() if scope.species is not None else ()))
     changes = tuple(node for node in members if isinstance(node, nodes.Change))
-    anywhere = part(scope.declared, ("anywhere", changes, known), lambda: _anywhere(scope, names, changes))
+    anywhere = cached_part(scope.declared, ("anywhere", changes, known), lambda: _changes_from_any(scope, names, changes))
     machine_states: list[model.State] = []
     for index, state in enumerate(_unique_states(states)):
-        general = [change for node, change in anywhere if change is not None and _applies(node, change, state.name.text, index)]
+        general = [
+            change for node, change in anywhere if change is not None and _applies_to(node, change, state.name.text, index)
+        ]
         key = ("state", state, index, *general, *known)
-        machine_states.append(part(scope.declared, key, partial(_state, scope, names, state, index, general)))
+        machine_states.append(cached_part(scope.declared, key, partial(_state, scope, names, state, index, general)))
     return model.Machine(names.name, _start(scope, names, members, span), tuple(machine_states), span)
 
 
-def _anywhere(
+def _changes_from_any(
     scope: Scope, names: MachineNames, changes: Sequence[nodes.Change]
 ) -> list[tuple[nodes.Change, model.Transition | None]]:
     """The changes `from any`."""
-    scope = scope.inside(keys=Keys(f"{names.key}.{model.ANYWHERE}"))
-    return [(node, _from_any(scope, names, node)) for node in changes]
+    scope = scope.with_changes(keys=StableKeys(f"{names.key}.{model.ANYWHERE}"))
+    return [(node, _general_transition(scope, names, node)) for node in changes]
 
 
 def _unique_states(states: Sequence[nodes.State]) -> list[nodes.State]:
@@ -63,24 +75,24 @@ def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: S
             labels=(Label(starts[0].span, "first here"),),
         )
     if starts:
-        return _named(scope, names, starts[0].state) or 0
+        return _state_index(scope, names, starts[0].state) or 0
     if len(names.states) > 1:
         scope.report.error(
             "missing-start",
-            f"nothing says which of the states {listed(names.states)} comes first",
+            f"nothing says which of the states {list_names(names.states)} comes first",
             span,
             f"write `start {next(iter(names.states))}`",
         )
     return 0
 
 
-def _named(scope: Scope, names: MachineNames, state: nodes.Name) -> int | None:
+def _state_index(scope: Scope, names: MachineNames, state: nodes.Name) -> int | None:
     """The index of a state, or of the one that was probably meant."""
     species, _, machine = names.key.partition(".")
     if state.text in names.states:
         scope.bind(state.span, "state", species, machine, state.text)
         return names.states[state.text]
-    return names.states.get(unknown_state(scope, state, species, list(names.states)) or "")
+    return names.states.get(report_unknown_state(scope, state, species, list(names.states)) or "")
 
 
 # --- one state -------------------------------------------------------------------------------------------------------
@@ -88,19 +100,20 @@ def _named(scope: Scope, names: MachineNames, state: nodes.Name) -> int | None:
 
 def _state(scope: Scope, names: MachineNames, node: nodes.State, index: int, general: list[model.Transition]) -> model.State:
     path = f"{names.key}.{node.name.text}"
-    scope = scope.inside(keys=Keys(path))
-    scope = scope.inside(locals=_lets(scope, node))
+    scope = scope.with_changes(keys=StableKeys(path))
+    scope = scope.with_changes(locals=_lets(scope, node))
     own = [_change(scope, names, line, path) for line in node.body if isinstance(line, nodes.Change)]
     changes = [c for c in own if c is not None]
-    one_clip(scope, node)
-    said_once(scope, node)
+    check_single_clip(scope, node)
+    check_duplicates(scope, node)
     order = [c for c in changes if c.interrupt] + general + [c for c in changes if not c.interrupt]
     return model.State(
         node.name.text, index, node.label.text if node.label else "", _colour(scope, node, index),
         _duration(scope, node.at_least, "`for at least`"), tuple(order),
-        statements(scope.inside(keys=Keys(f"{path}.enter")), node.enter, ACTION),
-        statements(scope.inside(keys=Keys(f"{path}.exit")), node.exit, ACTION),
-        statements(scope, [line for line in node.body if not isinstance(line, (nodes.Change, nodes.Let))], BODY), node.name.span,
+        check_statements(scope.with_changes(keys=StableKeys(f"{path}.enter")), node.enter, ACTION),
+        check_statements(scope.with_changes(keys=StableKeys(f"{path}.exit")), node.exit, ACTION),
+        check_statements(scope, [line for line in node.body if not isinstance(line, (nodes.Change, nodes.Let))], BODY),
+        node.name.span,
     )  # fmt: skip
 
 
@@ -113,14 +126,14 @@ def _lets(scope: Scope, node: nodes.State) -> dict[str, Binding | Expr]:
             continue
         name = line.name
         if name.text in scope.species.attributes or name.text in scope.species.bindings or name.text in local:
-            duplicate(scope.report, "name", name, _first(node, scope, name))
-        keys = Keys(f"{scope.keys.path}.{name.text}")
-        expr = scope.inside(locals=local, keys=keys, no_keep="a `let` only names a value").typed(line.value)
+            report_duplicate(scope.report, "name", name, _first_span(node, scope, name))
+        keys = StableKeys(f"{scope.keys.path}.{name.text}")
+        expr = scope.with_changes(locals=local, keys=keys, no_keep="a `let` only names a value").type_expression(line.value)
         local[name.text] = Binding(name.text, "let", expr.type, expr.rate, name.span, expr, snapshot=True)
     return local
 
 
-def _first(node: nodes.State, scope: Scope, name: nodes.Name) -> Span:
+def _first_span(node: nodes.State, scope: Scope, name: nodes.Name) -> Span:
     assert scope.species is not None
     own = scope.species.bindings.get(name.text)
     earlier = [
@@ -139,7 +152,7 @@ def _colour(scope: Scope, node: nodes.State, index: int) -> tuple[float, float, 
             "unknown-colour",
             f"no colour `{node.colour.text}`",
             node.colour.span,
-            did_you_mean(node.colour.text, COLOURS, f"there is {listed(examples)} and more"),
+            did_you_mean(node.colour.text, COLOURS, f"there is {list_names(examples)} and more"),
         )
     red, green, blue = colour or default_rgb(index)
     return red / 255, green / 255, blue / 255
@@ -153,21 +166,21 @@ def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
     if constant is not None and constant.number < 0:
         scope.report.error(
             "out-of-range",
-            f"{who} wants a time, and {quoted(node.span)} is before now",
+            f"{who} wants a time, and {quote_source(node.span)} is before now",
             node.span,
             "write a time of `0 s` or more",
         )
     elif constant is not None and not constant.u and constant.number > limits.FRAMES:
         scope.report.warning(
             "never-fires",
-            f"{quoted(node.span)} is longer than any run",
+            f"{quote_source(node.span)} is longer than any run",
             node.span,
             f"write a shorter time: a run has {limits.FRAMES:,} frames at most",
         )
     elif constant is not None and not constant.u and not constant.step and 0 < constant.number * limits.FPS < 1:
         scope.report.warning(
             "out-of-range",
-            f"{quoted(node.span)} is shorter than a frame of any scene, so {who} takes one step",
+            f"{quote_source(node.span)} is shorter than a frame of any scene, so {who} takes one step",
             node.span,
             "write `1 step`, or a longer time",
         )
@@ -177,13 +190,13 @@ def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
 # --- one change ------------------------------------------------------------------------------------------------------
 
 
-def _from_any(scope: Scope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
+def _general_transition(scope: Scope, names: MachineNames, node: nodes.Change) -> model.Transition | None:
     for name in node.any_except or ():
-        _named(scope, names, name)
+        _state_index(scope, names, name)
     return _change(scope, names, node, scope.keys.path)
 
 
-def _applies(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:
+def _applies_to(node: nodes.Change, change: model.Transition, state: str, index: int) -> bool:
     """Return whether a transition applies in a state: `from any` leaves out its exceptions and never leads into the current
     state."""
     return change.target != index and all(name.text != state for name in node.any_except or ())
@@ -191,14 +204,14 @@ def _applies(node: nodes.Change, change: model.Transition, state: str, index: in
 
 def _change(scope: Scope, names: MachineNames, node: nodes.Change, path: str) -> model.Transition | None:
     key = scope.keys.next(_target_word(node.target), "->")
-    scope = scope.inside(keys=Keys(key))
+    scope = scope.with_changes(keys=StableKeys(key))
     delay = _delay(scope, node.delay)
     test = condition(scope, node.condition, "`when`") if node.condition is not None else None
-    held = _held(scope, node.held)
+    held = _hold_time(scope, node.held)
     claim = take(scope, node.take) if node.take is not None else None
     choices = _choices(scope, names, node.target)
     target = _target(scope, names, node.target)
-    actions = statements(scope, node.actions, ACTION)
+    actions = check_statements(scope, node.actions, ACTION)
     if target is None and not choices and not node.target.previous:
         return None
     return model.Transition(
@@ -216,17 +229,17 @@ def _delay(scope: Scope, node: nodes.Expr | None) -> Expr | None:
     span = Span(source, source.text.rindex("after", 0, time.span.start), time.span.end)
     message = f"`{' '.join(span.text.split())}` cannot be joined with a condition"
     scope.report.error("wrong-kind", message, span, f"write `{text}` for it", fix=Fix(span, text))
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
-def _held(scope: Scope, node: nodes.Expr | None) -> Expr | None:
+def _hold_time(scope: Scope, node: nodes.Expr | None) -> Expr | None:
     """`held T` ends a condition. In `meal held 1 s and scent > 1` it stands in the middle."""
     time = _leftmost(node)
     if node is None or time is None or time is node:
         return _duration(scope, node, "`held`")
     message = f"`held {' '.join(time.span.text.split())}` stands in the middle of a condition"
     scope.report.error("wrong-kind", message, time.span, "write it at the end: the whole condition is held that long")
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
 def _leftmost(node: nodes.Expr | None) -> nodes.Expr | None:
@@ -245,22 +258,22 @@ def _target_word(target: nodes.Target) -> str:
 def _target(scope: Scope, names: MachineNames, target: nodes.Target) -> int | None:
     if target.name is None or target.previous:
         return None
-    return _named(scope, names, target.name)
+    return _state_index(scope, names, target.name)
 
 
 def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[tuple[int, Expr], ...]:
     choices: list[tuple[int, Expr]] = []
     for choice in target.choices:
-        weight = value_of_type(scope.inside(runs_once=True), choice.weight, NUMBER, f"the weight of `{choice.target.text}`")
+        weight = value_of_type(scope.with_changes(runs_once=True), choice.weight, NUMBER, f"the weight of `{choice.target.text}`")
         constant = constant_behind(weight)
         if constant is not None and constant.number < 0:
             scope.report.error(
                 "out-of-range",
-                f"a weight below 0: {quoted(choice.weight.span)}",
+                f"a weight below 0: {quote_source(choice.weight.span)}",
                 choice.weight.span,
                 "write a weight of 0 or more",
             )
-        index = _named(scope, names, choice.target)
+        index = _state_index(scope, names, choice.target)
         if index is not None:
             choices.append((index, weight))
     weights = [constant_behind(weight) for _, weight in choices]

@@ -6,7 +6,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from antdsl.program import model
-from antdsl.program.declarations.behaviours import call_unwritten
+from antdsl.program.declarations.behaviours import call_implicitly
 from antdsl.program.names.scope import Scope
 from antdsl.syntax import nodes
 
@@ -20,7 +20,7 @@ def rest(scope: Scope, machines: Sequence[model.Machine], name: nodes.Name) -> m
     does so now, so that it may steer alone. `name` is the species' own, which stands for the implicit call."""
     silent: dict[str, tuple[int, ...]] = {}
     for machine in machines:
-        quiet = tuple(state.index for state in machine.states if not steers(state))
+        quiet = tuple(state.index for state in machine.states if not is_steering(state))
         if len(quiet) < len(machine.states):
             silent[machine.name] = quiet
     if not silent or not all(silent.values()):
@@ -29,9 +29,9 @@ def rest(scope: Scope, machines: Sequence[model.Machine], name: nodes.Name) -> m
     if halt is None:
         return None
     call = nodes.Call(nodes.NameRef(name, name.span), (), name.span)
-    return model.Rest(silent, call_unwritten(scope, halt, call), name.span)
+    return model.Rest(silent, call_implicitly(scope, halt, call), name.span)
 
 
-def steers(state: model.State) -> bool:
+def is_steering(state: model.State) -> bool:
     """Return whether a state declares how its agents move, even if by a zero push."""
     return any(isinstance(line, model.Steer) for line in state.body)

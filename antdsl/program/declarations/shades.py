@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from antdsl import limits
 from antdsl.program.model import Expr, Kind
-from antdsl.program.names.scope import BAD, BOOL, NUMBER, Scope, bad
-from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
+from antdsl.program.names.scope import BAD, BOOL, NUMBER, Scope, bad_expression
+from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import op, truth, value, value_of_type
 from antdsl.syntax import nodes
 
 
-def rules(scope: Scope, node: nodes.Fuzzy) -> Expr:
+def fuzzy_mean(scope: Scope, node: nodes.Fuzzy) -> Expr:
     """Return the mean of the rules' outputs, each weighted by how true its rule is; 0 if none is true at all.
 
     This is a weighted mean of singletons: zero-order Sugeno (Takagi and Sugeno, Fuzzy identification of systems, IEEE Trans. SMC
@@ -21,12 +21,12 @@ def rules(scope: Scope, node: nodes.Fuzzy) -> Expr:
         scope.report.error(
             "empty-fuzzy", f"`fuzzy {node.name.text}` has no rules", node.span, "write rules such as `near and fast -> 0.8`"
         )
-        return bad(node.span)
+        return bad_expression(node.span)
     if len(node.rules) > limits.RULES:
         over = node.rules[limits.RULES].span
         scope.report.error("too-many", f"more than {limits.RULES} rules in one `fuzzy`", over, "put some together")
-        return bad(node.span)
-    inner = scope.inside(shades=True)
+        return bad_expression(node.span)
+    inner = scope.with_changes(shades=True)
     parts: list[Expr] = []
     first: Expr | None = None
     for rule in node.rules:
@@ -37,8 +37,8 @@ def rules(scope: Scope, node: nodes.Fuzzy) -> Expr:
             else value_of_type(scope, rule.value, first.type, f"`fuzzy {node.name.text}`")
         )
         if said.type.kind not in (Kind.NUMBER, Kind.BAD):
-            mismatch(scope.report, rule.value, said.type, NUMBER, "a rule")
-            said = bad(rule.value.span)
+            report_mismatch(scope.report, rule.value, said.type, NUMBER, "a rule")
+            said = bad_expression(rule.value.span)
         first = said if first is None or first.type.kind is Kind.BAD else first
         parts.append(said)
     assert first is not None
@@ -51,16 +51,20 @@ def _degree(scope: Scope, node: nodes.Expr) -> Expr:
     expr = value(scope, node, BOOL)
     if expr.type.kind is not Kind.NUMBER:
         return truth(scope, node, expr, "a rule")
-    if not fits(expr.type, NUMBER):
+    if not is_compatible(expr.type, NUMBER):
         text = " ".join(node.span.text.split())
         scope.report.error(
-            "wrong-unit", f"{quoted(node.span)} is {type_words(expr.type)}, and a rule wants a share from 0 to 1", node.span,
+            "wrong-unit", f"{quote_source(node.span)} is {type_words(expr.type)}, and a rule wants a share from 0 to 1",
+            node.span,
             f"say where it begins and where it is full: `rising({text if len(text) <= 30 else '…'}, a .. b)`",
         )  # fmt: skip
-        return bad(node.span)
+        return bad_expression(node.span)
     known = constant_behind(expr)
     if known is not None and not 0 <= known.number <= 1:
         scope.report.error(
-            "out-of-range", f"{quoted(node.span)} is no share of truth", node.span, "a rule is true from 0 to 1, such as `0.5`"
+            "out-of-range",
+            f"{quote_source(node.span)} is no share of truth",
+            node.span,
+            "a rule is true from 0 to 1, such as `0.5`",
         )
     return expr

@@ -10,16 +10,16 @@ from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import ACTION, HANDLER
 from antdsl.program.declarations.attributes import attributes as attributes_in
-from antdsl.program.declarations.attributes import names_state
+from antdsl.program.declarations.attributes import is_state_name
 from antdsl.program.declarations.machines import machine
 from antdsl.program.declarations.params import param
 from antdsl.program.declarations.resting import rest
-from antdsl.program.declarations.shades import rules
-from antdsl.program.declarations.statements import statements
-from antdsl.program.memo import part
+from antdsl.program.declarations.shades import fuzzy_mean
+from antdsl.program.declarations.statements import check_statements
+from antdsl.program.memo import cached_part
 from antdsl.program.model import Binding, Dim, Kind, Rate, Type
-from antdsl.program.names.collect import EVENTS, free_in_species
-from antdsl.program.names.ordering import ordered
+from antdsl.program.names.collect import EVENTS, check_free_in_species
+from antdsl.program.names.ordering import order_declarations
 from antdsl.program.names.scope import (
     BAD,
     BOOL,
@@ -27,19 +27,19 @@ from antdsl.program.names.scope import (
     TIME,
     Declared,
     FileNames,
-    Keys,
     Scope,
     SpeciesNames,
-    bad,
+    StableKeys,
+    bad_expression,
     did_you_mean,
-    duplicate,
+    report_duplicate,
 )
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES
-from antdsl.program.types.descriptions import quoted, type_words
-from antdsl.program.types.expressions import referable
+from antdsl.program.types.descriptions import quote_source, type_words
+from antdsl.program.types.expressions import reference_type
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.operators import condition, faced, value_of_type
-from antdsl.program.types.pair_values import resting
+from antdsl.program.types.operators import condition, facing_direction, value_of_type
+from antdsl.program.types.pair_values import check_pair_value
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -60,11 +60,11 @@ class Draft:
 def draft(declared: Declared, file: FileNames, node: nodes.Species) -> Draft:
     """Params and attributes of a species."""
     names = declared.species[node.name.text]
-    scope = Scope(declared, file, Keys(names.name), declared.report, species=names, no_keep=_PURE)
+    scope = Scope(declared, file, StableKeys(names.name), declared.report, species=names, no_keep=_PURE)
     _check_names(scope, node)
-    names.pending = {m.name.text for m in _members(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - BUILTIN_ATTRIBUTES.keys()
+    names.pending = {m.name.text for m in _members_of_kind(node, nodes.Let, nodes.Latch, nodes.Fuzzy)} - BUILTIN_ATTRIBUTES.keys()
     head = tuple(m for m in node.members if isinstance(m, (nodes.ParamDecl, nodes.Declaration, nodes.AnimalProperty)))
-    params, attributes, known = part(declared, ("draft", names.name, head, node.name), lambda: _drafted(scope, node))
+    params, attributes, known = cached_part(declared, ("draft", names.name, head, node.name), lambda: _drafted(scope, node))
     names.attributes, names.each, names.params = (dict(each) for each in known)
     return Draft(names, node, scope, params, attributes)
 
@@ -79,7 +79,7 @@ def _drafted(
     return params, attributes, (dict(names.attributes), dict(names.each), dict(names.params))
 
 
-def _members(node: nodes.Species, *kinds: type) -> list[Any]:
+def _members_of_kind(node: nodes.Species, *kinds: type) -> list[Any]:
     """Members of a species and of its machines, in text order."""
     members: list[object] = []
     for member in node.members:
@@ -92,16 +92,16 @@ def _members(node: nodes.Species, *kinds: type) -> list[Any]:
 def _check_names(scope: Scope, node: nodes.Species) -> None:
     """Check that names are unique and not words of the language."""
     spans_by_name: dict[str, Span] = {}
-    for member in _members(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
+    for member in _members_of_kind(node, nodes.Declaration, nodes.ParamDecl, nodes.Let, nodes.Latch, nodes.Fuzzy):
         each = member.declaration if isinstance(member, nodes.ParamDecl) else member
         if isinstance(each, nodes.Fuzzy):
             value_span = each.rules[0].value.span if each.rules else each.name.span
         else:
             value_span = each.on.span if isinstance(each, nodes.Latch) else each.value.span
         if each.name.text in spans_by_name:
-            duplicate(scope.report, "name", each.name, spans_by_name[each.name.text])
+            report_duplicate(scope.report, "name", each.name, spans_by_name[each.name.text])
         else:
-            free_in_species(scope.report, each.name, value_span)
+            check_free_in_species(scope.report, each.name, value_span)
         spans_by_name.setdefault(each.name.text, each.name.span)
     if len(spans_by_name) > limits.ATTRIBUTES:
         scope.report.error(
@@ -115,7 +115,7 @@ def _check_names(scope: Scope, node: nodes.Species) -> None:
 def complete(work: Draft) -> model.Species:
     """Lets, latches, handlers, machines and layers, now that the attributes of all species are known."""
     names, key = work.names, ("species", work.node.name, work.node.help, work.node.members, *work.attributes, *work.params)
-    species, names.bindings = part(work.scope.declared, key, lambda: (_completed(work), names.bindings))
+    species, names.bindings = cached_part(work.scope.declared, key, lambda: (_completed(work), names.bindings))
     names.pending.clear()
     return species
 
@@ -126,26 +126,30 @@ def _completed(work: Draft) -> model.Species:
     for member in node.members:
         if isinstance(member, nodes.Declaration):
             declarations.setdefault(member.name.text, member)
-    attributes = [_relaxing(scope, a, declarations.get(a.name)) for a in work.attributes]
-    named = tuple(_members(node, nodes.Let, nodes.Latch, nodes.Fuzzy))
-    bindings = part(scope.declared, ("bindings", names.name, named), lambda: _bindings(scope, node))
+    attributes = [_with_relaxation(scope, a, declarations.get(a.name)) for a in work.attributes]
+    named = tuple(_members_of_kind(node, nodes.Let, nodes.Latch, nodes.Fuzzy))
+    bindings = cached_part(scope.declared, ("bindings", names.name, named), lambda: _bindings(scope, node))
     names.bindings = {binding.name: binding for binding in bindings}
     names.pending.clear()
-    machines = _machines(scope.inside(no_keep=None), node)
+    machines = _machines(scope.with_changes(no_keep=None), node)
     known = (names.name, *bindings)
     handling = tuple(m for m in node.members if isinstance(m, nodes.On))
-    handlers = part(scope.declared, ("handlers", handling, known), lambda: _handlers(scope.inside(no_keep=None), handling))
+    handlers = cached_part(
+        scope.declared, ("handlers", handling, known), lambda: _handlers(scope.with_changes(no_keep=None), handling)
+    )
     blocks = tuple(m for m in node.members if isinstance(m, nodes.Layers))
-    layers = part(scope.declared, ("layers", node.name, blocks, known), lambda: _layers(scope.inside(no_keep=None), node))
+    layers = cached_part(
+        scope.declared, ("layers", node.name, blocks, known), lambda: _layers(scope.with_changes(no_keep=None), node)
+    )
     return model.Species(
         names.name, node.help.text if node.help else "", tuple(attributes), tuple(work.params),
         tuple(b for b in bindings if b.role == "let"), tuple(b for b in bindings if b.role == "latch"),
         tuple(handlers), tuple(machines), layers, node.name.span,
-        rest(scope.inside(keys=Keys(f"{names.name}.rest")), machines, node.name),
+        rest(scope.with_changes(keys=StableKeys(f"{names.name}.rest")), machines, node.name),
     )  # fmt: skip
 
 
-def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
+def _with_relaxation(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declaration | None) -> model.AttributeDecl:
     """Return the attribute with the value that it returns to, and the species that it is stored about."""
     if node is None or (node.relax is None and node.each is None):
         return attribute
@@ -162,7 +166,7 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
         over = value_of_type(scope, node.relax.over, TIME, "`over`")
     each, strongest = None, 0
     if node.each is not None:
-        type = referable(scope, node.each.species)
+        type = reference_type(scope, node.each.species)
         if type is not None and type.kind is not Kind.AGENT:
             scope.report.error(
                 "wrong-kind",
@@ -171,7 +175,7 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
                 "`for each` keeps a value about other agents",
             )
         each = node.each.species.text
-        resting(scope, attribute, to)
+        check_pair_value(scope, attribute, to)
         if node.each.strongest is None:
             scope.report.error(
                 "missing-bound",
@@ -185,7 +189,8 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
             if count is None or not 1 <= count.number <= limits.STRONGEST or count.number != strongest:
                 scope.report.error(
                     "wrong-count",
-                    f"`strongest` wants a whole number from 1 to {limits.STRONGEST}, not {quoted(node.each.strongest.span)}",
+                    f"`strongest` wants a whole number from 1 to {limits.STRONGEST}, "
+                    f"not {quote_source(node.each.strongest.span)}",
                     node.each.strongest.span,
                     "write `strongest 8`",
                 )
@@ -194,7 +199,7 @@ def _relaxing(scope: Scope, attribute: model.AttributeDecl, node: nodes.Declarat
     )  # fmt: skip
 
 
-def _parts(member: nodes.Let | nodes.Latch | nodes.Fuzzy) -> list[nodes.Expr]:
+def _expressions_of(member: nodes.Let | nodes.Latch | nodes.Fuzzy) -> list[nodes.Expr]:
     if isinstance(member, nodes.Fuzzy):
         return [part for rule in member.rules for part in (rule.condition, rule.value)]
     return [member.value] if isinstance(member, nodes.Let) else [member.on, member.until]
@@ -205,17 +210,17 @@ def _bindings(scope: Scope, node: nodes.Species) -> list[Binding]:
     names = scope.species
     assert names is not None
     declared: dict[str, nodes.Let | nodes.Latch | nodes.Fuzzy] = {}
-    for member in _members(node, nodes.Let, nodes.Latch, nodes.Fuzzy):
+    for member in _members_of_kind(node, nodes.Let, nodes.Latch, nodes.Fuzzy):
         declared.setdefault(member.name.text, member)
-    order, circular = ordered(scope.report, "lets", declared, _parts, lambda m: m.name)
+    order, circular = order_declarations(scope.report, "lets", declared, _expressions_of, lambda m: m.name)
     bindings: list[Binding] = []
     for each in order:
         name = each.name.text
-        inner = scope.inside(keys=Keys(f"{names.name}.{name}"))
+        inner = scope.with_changes(keys=StableKeys(f"{names.name}.{name}"))
         if name in circular:
-            binding = Binding(name, "let", BAD, Rate.CONST, each.name.span, bad(each.name.span), snapshot=True)
+            binding = Binding(name, "let", BAD, Rate.CONST, each.name.span, bad_expression(each.name.span), snapshot=True)
         elif isinstance(each, (nodes.Let, nodes.Fuzzy)):
-            expr = rules(inner, each) if isinstance(each, nodes.Fuzzy) else inner.typed(each.value)
+            expr = fuzzy_mean(inner, each) if isinstance(each, nodes.Fuzzy) else inner.type_expression(each.value)
             binding = Binding(name, "let", expr.type, expr.rate, each.name.span, expr, snapshot=True)
         else:
             on, until = condition(inner, each.on, "`latch`"), condition(inner, each.until, "`until`")
@@ -246,32 +251,32 @@ def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
 
 
 def _handlers(scope: Scope, written: tuple[nodes.On, ...]) -> list[model.Handler]:
-    events: dict[str, Keys] = {}
+    events: dict[str, StableKeys] = {}
     return [_handler(scope, each, events) for each in written]
 
 
-def _handler(scope: Scope, node: nodes.On, events: dict[str, Keys]) -> model.Handler:
+def _handler(scope: Scope, node: nodes.On, events: dict[str, StableKeys]) -> model.Handler:
     """`events`: keys of the handlers so far, by event; two of one event must not share their draws."""
     names, event = scope.species, node.event.text
     assert names is not None
-    keys = events.setdefault(event, Keys(f"{names.name}.on.{event}"))
-    scope = scope.inside(keys=keys, no_keep="an event happens now and then")
+    keys = events.setdefault(event, StableKeys(f"{names.name}.on.{event}"))
+    scope = scope.with_changes(keys=keys, no_keep="an event happens now and then")
     other, partner_species = None, _partner_species(scope, node) if event == "collision" else ""
     if event == "collision" and node.variable is not None:
-        _named_apart(scope, node.variable)
+        _check_distinct_name(scope, node.variable)
         if partner_species:
             other = Binding(
                 node.variable.text, "element", Type(Kind.AGENT, Dim(), partner_species), Rate.AGENT, node.variable.span
             )
-        scope = scope.inside(locals={node.variable.text: other or bad(node.variable.span)})
+        scope = scope.with_changes(locals={node.variable.text: other or bad_expression(node.variable.span)})
     elif node.variable is not None:
         scope.report.error("wrong-argument", f"`on {event}` does not say who", node.variable.span, f"write `on {event} {{ … }}`")
-        scope = scope.inside(locals={node.variable.text: bad(node.variable.span)})
+        scope = scope.with_changes(locals={node.variable.text: bad_expression(node.variable.span)})
     if event not in EVENTS:
-        scope.use("on", event)
-        scope.use("heard", f"{event} {scope.species.name if scope.species else ''}")
+        scope.mark_used("on", event)
+        scope.mark_used("heard", f"{event} {scope.species.name if scope.species else ''}")
     return model.Handler(
-        event, other, statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span, partner_species
+        event, other, check_statements(scope, node.actions, ACTION if event == "spawn" else HANDLER), node.span, partner_species
     )
 
 
@@ -283,7 +288,7 @@ def _partner_species(scope: Scope, node: nodes.On) -> str:
     name, known = node.species, list(scope.declared.species)
     thing = scope.declared.things.get(name.text)
     if name.text in known:
-        scope.use("species", name.text)
+        scope.mark_used("species", name.text)
         scope.bind(name.span, "species", name.text)
         return name.text
     if thing is not None:
@@ -295,7 +300,7 @@ def _partner_species(scope: Scope, node: nodes.On) -> str:
     return ""
 
 
-def _named_apart(scope: Scope, variable: nodes.Name) -> None:
+def _check_distinct_name(scope: Scope, variable: nodes.Name) -> None:
     """Report a name in the brackets of a collision that already has another meaning."""
     if variable.text in scope.declared.species:
         message = f"`{variable.text}` is a species, and what stands here names the other agent"
@@ -336,7 +341,7 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
         scope.report.error(
             "too-many", f"more than {limits.LAYERS} layers", block.layers[limits.LAYERS].span, "put some together in a behaviour"
         )
-    scope = scope.inside(keys=Keys(f"{names.name}.layers"))
+    scope = scope.with_changes(keys=StableKeys(f"{names.name}.layers"))
     counts: dict[str, int] = {}
     return model.Layers(mode, tuple(_layer(scope, each, counts) for each in block.layers), block.span)
 
@@ -345,7 +350,7 @@ def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Lay
     """Check a layer. Its name is its first word: `separate`, and `separate#2` for a second one."""
     text = " ".join(node.push.span.text.split())
     steered = isinstance(node.push, nodes.NameRef) and node.push.name.text == "state" and not node.faces
-    word = _word(node.push)
+    word = _layer_word(node.push)
     if node.faces:
         text, word = f"face {text}", f"face {word}"
     counts[word] = counts.get(word, 0) + 1
@@ -354,18 +359,18 @@ def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Lay
     own = scope.species
     taken = {*own.attributes, *own.bindings} if own else set()
     if node.faces:
-        push = faced(scope, node.push)
-    elif isinstance(node.push, nodes.NameRef) and names_state(scope, word) and own and word not in taken:
+        push = facing_direction(scope, node.push)
+    elif isinstance(node.push, nodes.NameRef) and is_state_name(scope, word) and own and word not in taken:
         message = f"`{word}` is a state, and a layer is a wish"
         scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # whatever the state steers
-        push = bad(node.push.span)
+        push = bad_expression(node.push.span)
     elif not steered:
         push = value_of_type(scope, node.push, PUSH, "a layer")
     test = condition(scope, node.condition, "`when`") if node.condition is not None else None
     return model.Layer(push, test, text, node.span, key, node.faces)
 
 
-def _word(push: nodes.Expr) -> str:
+def _layer_word(push: nodes.Expr) -> str:
     while isinstance(push, (nodes.Binary, nodes.Unary, nodes.Call)):
         push = push.left if isinstance(push, nodes.Binary) else push.operand if isinstance(push, nodes.Unary) else push.function
     if isinstance(push, nodes.Member):

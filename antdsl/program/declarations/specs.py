@@ -5,15 +5,26 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from antdsl.program.declarations.world import SETTINGS, of_the_run, outside
-from antdsl.program.expectations import Against, Aggregate, AtStart, Bodily, Changed, Expectation, Measured, Other, Reading, Spec
+from antdsl.program.declarations.world import SETTINGS, is_run_constant, outer_scope
+from antdsl.program.expectations import (
+    Aggregate,
+    AtStart,
+    BodyMeasure,
+    ComparisonRun,
+    Expectation,
+    MotionMeasure,
+    OtherRun,
+    Reading,
+    Spec,
+    SpecChange,
+)
 from antdsl.program.model import Expr, Field, Kind, Op, Param, Rate
-from antdsl.program.names.scope import NUMBER, TIME, Declared, FileNames, Keys, Scope, did_you_mean, listed
-from antdsl.program.tables.units import measure, unit_of
+from antdsl.program.names.scope import NUMBER, TIME, Declared, FileNames, Scope, StableKeys, did_you_mean, list_names
+from antdsl.program.tables.units import default_unit, measure
 from antdsl.program.tables.vocabulary import DRAWS
-from antdsl.program.traverse import parts, written
+from antdsl.program.traverse import parts, written_nodes
 from antdsl.program.types.aggregates import SpecRules
-from antdsl.program.types.descriptions import quoted
+from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, value_of_type
 from antdsl.syntax import nodes
@@ -26,7 +37,7 @@ _HOW = ("seeds", "pass", "set", "until")  # what is expected is another matter
 
 
 @dataclass(slots=True)
-class _Work:
+class _SpecCheck:
     """One spec on its way."""
 
     declared: Declared
@@ -35,11 +46,11 @@ class _Work:
     fields: Mapping[str, Field]
     duration: Expr | None = None
     seeds: list[int] = field(default_factory=list)
-    changes: list[Changed] = field(default_factory=list)
+    changes: list[SpecChange] = field(default_factory=list)
     expectations: list[Expectation] = field(default_factory=list)
     share: float | None = None
     compares: bool = False  # with another run
-    against: Against | None = None
+    against: ComparisonRun | None = None
     blocks: int = 0
 
 
@@ -51,13 +62,13 @@ def check_spec(
         declared.report.error(
             "not-a-scene", f"`{spec.scene.text}` is not the name of a scene", spec.scene.span, 'write `on "scene.yaml"`'
         )
-    work = _Work(declared, names, params, fields, compares=any(line.kind == "against" for line in spec.lines))
+    work = _SpecCheck(declared, names, params, fields, compares=any(line.kind == "against" for line in spec.lines))
     for line in spec.lines:
         _line(work, line)
     if not any((line.condition is not None and line.kind not in _HOW) or line.kind == "each" for line in spec.lines):
         declared.report.warning(
             "empty-spec",
-            f"the spec {quoted(spec.name.span)} expects nothing",
+            f"the spec {quote_source(spec.name.span)} expects nothing",
             spec.name.span,
             "write `always: …` or `within 20 s: …`",
         )
@@ -67,37 +78,37 @@ def check_spec(
     )  # fmt: skip
 
 
-def _line(work: _Work, line: nodes.SpecLine) -> None:
+def _line(work: _SpecCheck, line: nodes.SpecLine) -> None:
     if line.kind == "for" and line.condition is None:
         _check_repeat(work, line, work.duration is not None)
-        work.duration = _time(work, line, outside(work.declared, work.names, "spec"))
+        work.duration = _time(work, line, outer_scope(work.declared, work.names, "spec"))
     elif line.kind == "seeds":
-        _seeds(work, line)
+        _read_seeds(work, line)
     elif line.kind == "pass":
         _check_repeat(work, line, work.share is not None)
-        work.share = _share(work, line)
+        work.share = _pass_share(work, line)
     elif line.kind == "against":
         _check_repeat(work, line, work.against is not None)
-        work.against = _against(work, line)
+        work.against = _comparison_run(work, line)
     elif line.kind == "set":
-        _set(work, line)
+        _add_change(work, line)
     elif line.kind == "each":
-        _each(work, line)
+        _check_each_block(work, line)
     else:
-        _expect(work, line, None)
+        _add_expectation(work, line, None)
 
 
-def _check_repeat(work: _Work, line: nodes.SpecLine, again: bool) -> None:
+def _check_repeat(work: _SpecCheck, line: nodes.SpecLine, again: bool) -> None:
     if again:
         words = f"`{line.kind}` stands twice in one spec"
         work.declared.report.error("duplicate-name", words, line.span, "keep one of them")
 
 
-def _time(work: _Work, line: nodes.SpecLine, scope: Scope, node: nodes.Expr | None = None, word: str = "") -> Expr | None:
+def _time(work: _SpecCheck, line: nodes.SpecLine, scope: Scope, node: nodes.Expr | None = None, word: str = "") -> Expr | None:
     node, word = node or line.time, word or line.kind
     assert node is not None
     expr = value_of_type(scope, node, TIME, f"`{word}`")
-    if expr.type.kind is Kind.BAD or not of_the_run(work.declared.report, expr, f"`{word}`"):
+    if expr.type.kind is Kind.BAD or not is_run_constant(work.declared.report, expr, f"`{word}`"):
         return None
     known = constant_behind(expr)
     if known is not None and known.number <= 0:
@@ -108,20 +119,20 @@ def _time(work: _Work, line: nodes.SpecLine, scope: Scope, node: nodes.Expr | No
     return expr
 
 
-def _share(work: _Work, line: nodes.SpecLine) -> float | None:
+def _pass_share(work: _SpecCheck, line: nodes.SpecLine) -> float | None:
     """The share of the seeds that must pass."""
     assert line.condition is not None
-    expr = value_of_type(outside(work.declared, work.names, "spec"), line.condition, NUMBER, "`pass`")
+    expr = value_of_type(outer_scope(work.declared, work.names, "spec"), line.condition, NUMBER, "`pass`")
     known = constant_behind(expr)
     if known is not None and 0 < known.number <= 1:
         return known.number
     if expr.type.kind is not Kind.BAD:
-        words = f"`pass` wants a share of the seeds, not {quoted(line.condition.span)}"
+        words = f"`pass` wants a share of the seeds, not {quote_source(line.condition.span)}"
         work.declared.report.error("out-of-range", words, line.condition.span, "write a share up to `100 %`, such as `pass 80 %`")
     return None
 
 
-def _against(work: _Work, line: nodes.SpecLine) -> Against:
+def _comparison_run(work: _SpecCheck, line: nodes.SpecLine) -> ComparisonRun:
     """Return the reference run; its `set` lines are in a separate list."""
     report, scene = work.declared.report, line.target
     if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
@@ -131,7 +142,7 @@ def _against(work: _Work, line: nodes.SpecLine) -> Against:
     own, work.changes = work.changes, []
     for inner in line.lines:
         if inner.kind == "set":
-            _set(work, inner)
+            _add_change(work, inner)
         else:
             words = f"`{inner.kind}` belongs to the spec, not to the run that it compares with"
             report.error("misplaced-line", words, inner.span, "write it outside of `against { … }`")
@@ -139,10 +150,10 @@ def _against(work: _Work, line: nodes.SpecLine) -> Against:
     if not own and scene is None and not line.lines:
         words = "`against` says nothing that is different in the other run"
         report.error("wrong-argument", words, line.span, "write `against { set forager.reward = 0 /s }`")
-    return Against(scene if isinstance(scene, nodes.Text) else None, tuple(own), line.span)
+    return ComparisonRun(scene if isinstance(scene, nodes.Text) else None, tuple(own), line.span)
 
 
-def _seeds(work: _Work, line: nodes.SpecLine) -> None:
+def _read_seeds(work: _SpecCheck, line: nodes.SpecLine) -> None:
     node = line.condition
     assert node is not None
     ends = (node.low, node.high) if isinstance(node, nodes.RangeExpr) else (node,)
@@ -161,48 +172,48 @@ def _seeds(work: _Work, line: nodes.SpecLine) -> None:
         work.seeds += range(low, high + 1)
 
 
-def _whole_number(work: _Work, node: nodes.Expr) -> int | None:
-    expr = value_of_type(outside(work.declared, work.names, "spec"), node, NUMBER, "`seeds`")
+def _whole_number(work: _SpecCheck, node: nodes.Expr) -> int | None:
+    expr = value_of_type(outer_scope(work.declared, work.names, "spec"), node, NUMBER, "`seeds`")
     known = constant_behind(expr)
     if known is not None and known.number == int(known.number) and 0 <= known.number < 2**53:
         return int(known.number)
     if expr.type.kind is not Kind.BAD:
         work.declared.report.error(
-            "wrong-count", f"a seed is a whole number, not {quoted(node.span)}", node.span, "write `seeds 1 .. 5`"
+            "wrong-count", f"a seed is a whole number, not {quote_source(node.span)}", node.span, "write `seeds 1 .. 5`"
         )
     return None
 
 
-def _set(work: _Work, line: nodes.SpecLine) -> None:
-    declared, scope = work.declared, outside(work.declared, work.names, "spec")
+def _add_change(work: _SpecCheck, line: nodes.SpecLine) -> None:
+    declared, scope = work.declared, outer_scope(work.declared, work.names, "spec")
     assert line.target is not None and line.condition is not None
     text = "".join(line.target.span.text.split())
     thing, _, word = text.partition(".")
     if text in work.params:
         param = work.params[text]
         declared.used.add(("param", text))
-        _bind(scope, line.target, "species", "own")
+        _bind_target(scope, line.target, "species", "own")
         expr = value_of_type(scope, line.condition, param.type, f"`{text}`")
         if expr.type.kind is Kind.BAD:
             return
         if constant_behind(expr) is None:
-            of_the_run(declared.report, expr, f"`{text}`")
+            is_run_constant(declared.report, expr, f"`{text}`")
             return
-        _in_range(work, line.condition, param, expr)
-        work.changes.append(Changed(text, expr, line.span))
+        _check_range(work, line.condition, param, expr)
+        work.changes.append(SpecChange(text, expr, line.span))
     elif thing in work.fields and word in SETTINGS and word not in FIXED_SETTINGS:
         declared.used.add(("field", thing))
-        _bind(scope, line.target, "field", "setting")
+        _bind_target(scope, line.target, "field", "setting")
         value = SETTINGS[word](scope, nodes.Setting(nodes.Name(word, line.target.span), line.condition, line.span))
         if value is not None:
-            work.changes.append(Changed(text, value, line.span))
+            work.changes.append(SpecChange(text, value, line.span))
     else:
         known = [*work.params, *(f"{name}.{word}" for name in work.fields for word in SETTINGS if word not in FIXED_SETTINGS)]
-        advice = did_you_mean(text, known, f"there is {listed(work.params)}" if work.params else None)
+        advice = did_you_mean(text, known, f"there is {list_names(work.params)}" if work.params else None)
         declared.report.error("unknown-name", f"no param `{text}` to set", line.target.span, advice)
 
 
-def _bind(scope: Scope, target: nodes.Expr | nodes.Text, owner: str, value: str) -> None:
+def _bind_target(scope: Scope, target: nodes.Expr | nodes.Text, owner: str, value: str) -> None:
     """Bind the names in `forager.smell` or `trail.half_life`; `owner` and `value` are their kinds."""
     if isinstance(target, nodes.Member) and isinstance(target.owner, nodes.NameRef):
         name, word = target.owner.name.text, target.name.text
@@ -210,7 +221,7 @@ def _bind(scope: Scope, target: nodes.Expr | nodes.Text, owner: str, value: str)
         scope.bind(target.name.span, *((value, word) if value == "setting" else (value, name, word)))
 
 
-def _in_range(work: _Work, node: nodes.Expr, param: Param, expr: Expr) -> None:
+def _check_range(work: _SpecCheck, node: nodes.Expr, param: Param, expr: Expr) -> None:
     constant = constant_behind(expr)
     for bound, sign in ((param.low, 1), (param.high, -1)):
         alike = constant is not None and bound is not None and (bound.u, bound.step) == (constant.u, constant.step)
@@ -227,7 +238,7 @@ def _in_range(work: _Work, node: nodes.Expr, param: Param, expr: Expr) -> None:
 # --- what is expected ------------------------------------------------------------------------------------------------
 
 
-def _each(work: _Work, line: nodes.SpecLine) -> None:
+def _check_each_block(work: _SpecCheck, line: nodes.SpecLine) -> None:
     declared = work.declared
     assert isinstance(line.target, nodes.NameRef)
     species = line.target.name.text
@@ -237,7 +248,7 @@ def _each(work: _Work, line: nodes.SpecLine) -> None:
         )
         return
     declared.used.add(("species", species))
-    outside(declared, work.names, "spec").bind(line.target.span, "species", species)
+    outer_scope(declared, work.names, "spec").bind(line.target.span, "species", species)
     work.blocks += 1
     for inner in line.lines:
         if inner.kind in ("seeds", "pass", "set", "against", "sooner", "each") or (inner.kind == "for" and not inner.condition):
@@ -245,15 +256,15 @@ def _each(work: _Work, line: nodes.SpecLine) -> None:
                 "misplaced-line", f"`{inner.kind}` belongs to the whole spec", inner.span, f"write it outside of `each {species}`"
             )
         else:
-            _expect(work, inner, species)
+            _add_expectation(work, inner, species)
 
 
-def _expect(work: _Work, line: nodes.SpecLine, species: str | None) -> None:
+def _add_expectation(work: _SpecCheck, line: nodes.SpecLine, species: str | None) -> None:
     assert line.condition is not None
     rules = SpecRules(work.declared, work.compares)
-    scope = outside(rules.declared, work.names, f"{species or ''}.spec")
+    scope = outer_scope(rules.declared, work.names, f"{species or ''}.spec")
     if species is not None:
-        scope = scope.inside(species=work.declared.species[species], keys=Keys(f"{species}.spec"))
+        scope = scope.with_changes(species=work.declared.species[species], keys=StableKeys(f"{species}.spec"))
     time = _time(work, line, scope) if line.time is not None else None
     held = None if line.held is None else _time(work, line, scope, line.held, "held")
     since = None if line.since is None else condition(scope, line.since, "`when`")
@@ -261,13 +272,13 @@ def _expect(work: _Work, line: nodes.SpecLine, species: str | None) -> None:
     conditions = [each for each in (since, expr) if each is not None]
     if any(isinstance(p, Expr) and p.type.kind is Kind.BAD for each in conditions for p in parts(each)):
         return
-    at_end = any(isinstance(part, Measured) for each in conditions for part in parts(each))
-    if all(_fits(work, line, species, each, at_end) for each in conditions) and _in_time(work, line):
+    at_end = any(isinstance(part, MotionMeasure) for each in conditions for part in parts(each))
+    if all(_is_judgeable(work, line, species, each, at_end) for each in conditions) and _allows_time(work, line):
         readings, block = tuple(_readings(expr, line.condition)), work.blocks if species else 0
         work.expectations.append(Expectation(line.kind, block, species, expr, time, readings, at_end, line.span, held, since))
 
 
-def _in_time(work: _Work, line: nodes.SpecLine) -> bool:
+def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
     """Return whether `held` and `sooner` can be judged here; report an error if not."""
     report = work.declared.report
     if line.held is not None and line.kind in ("always", "for"):
@@ -281,9 +292,9 @@ def _in_time(work: _Work, line: nodes.SpecLine) -> bool:
     return True
 
 
-def _fits(work: _Work, line: nodes.SpecLine, species: str | None, expr: Expr, at_end: bool) -> bool:
+def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, expr: Expr, at_end: bool) -> bool:
     """Return whether the line can be judged; report an error if not."""
-    report, text = work.declared.report, quoted(expr.span)
+    report, text = work.declared.report, quote_source(expr.span)
     if species is None and expr.rate > Rate.STEP:
         names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
         report.error(
@@ -305,7 +316,7 @@ def _fits(work: _Work, line: nodes.SpecLine, species: str | None, expr: Expr, at
     draw = next((p for p in parts(expr) if isinstance(p, Op) and p.name in DRAWS), None)
     if draw is not None:
         report.error(
-            "draw-in-spec", f"{quoted(draw.span)} draws a random number, and a spec only looks", draw.span, "leave it out"
+            "draw-in-spec", f"{quote_source(draw.span)} draws a random number, and a spec only looks", draw.span, "leave it out"
         )
         return False
     return True
@@ -313,7 +324,7 @@ def _fits(work: _Work, line: nodes.SpecLine, species: str | None, expr: Expr, at
 
 def _readings(expr: Expr, node: nodes.Expr) -> Iterator[Reading]:
     """Yield the sides of all comparisons of a condition, and its other values, in text order."""
-    units = [part.unit for part, _ in written(node) if isinstance(part, nodes.Quantity)]
+    units = [part.unit for part, _ in written_nodes(node) if isinstance(part, nodes.Quantity)]
     stack: list[Expr] = [expr]
     while stack:
         part = stack.pop()
@@ -321,11 +332,11 @@ def _readings(expr: Expr, node: nodes.Expr) -> Iterator[Reading]:
             yield Reading(part.args[0], "")  # who it is, or none
         elif isinstance(part, Op) and part.name in ("and", "or", "not", *_COMPARED):
             stack += [arg for arg in reversed(part.args) if arg is not None]
-        elif part.rate > Rate.RUN or isinstance(part, Aggregate | AtStart | Measured | Other | Bodily):
-            yield Reading(part, _unit(part, units))
+        elif part.rate > Rate.RUN or isinstance(part, Aggregate | AtStart | MotionMeasure | OtherRun | BodyMeasure):
+            yield Reading(part, _display_unit(part, units))
 
 
-def _unit(part: Expr, units: list[str]) -> str:
+def _display_unit(part: Expr, units: list[str]) -> str:
     """A unit for a number: the first that the author wrote of its dimension, or a usual one."""
     if part.type.kind is not Kind.NUMBER:
         return ""
@@ -333,4 +344,4 @@ def _unit(part: Expr, units: list[str]) -> str:
         known = measure(unit)
         if known is not None and known.dim == part.type.dim:
             return unit
-    return unit_of(part.type.dim)
+    return default_unit(part.type.dim)

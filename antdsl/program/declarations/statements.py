@@ -7,23 +7,23 @@ from dataclasses import replace
 
 from antdsl.diagnostics import Label
 from antdsl.program import model
-from antdsl.program.declarations.amounts import Block, added
+from antdsl.program.declarations.amounts import Block, amount_or_rate
 from antdsl.program.declarations.appearance import channel, look, play, wear
 from antdsl.program.declarations.asks import ask
 from antdsl.program.model import Expr, Kind, Type
-from antdsl.program.names.scope import NUMBER, PUSH, Scope, did_you_mean, listed, type_from_words
+from antdsl.program.names.scope import NUMBER, PUSH, Scope, did_you_mean, list_names, type_from_words
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES
 from antdsl.program.types.arguments import place
-from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
-from antdsl.program.types.operators import faced, value, value_of_type
-from antdsl.program.types.pair_values import each_of
+from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words
+from antdsl.program.types.operators import facing_direction, value, value_of_type
+from antdsl.program.types.pair_values import pair_values_of
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 
-def statements(scope: Scope, lines: Iterable[object], block: Block) -> tuple[model.Statement, ...]:
+def check_statements(scope: Scope, lines: Iterable[object], block: Block) -> tuple[model.Statement, ...]:
     """Return the statements of a block in text order, without those that have errors."""
-    scope = scope.inside(runs_once=not block.body)
+    scope = scope.with_changes(runs_once=not block.body)
     checked_statements: list[model.Statement] = []
     assigned: dict[str, Span] = {}
     for line in lines:
@@ -32,11 +32,11 @@ def statements(scope: Scope, lines: Iterable[object], block: Block) -> tuple[mod
         if statement is not None:
             checked_statements.append(statement)
         if isinstance(line, nodes.Assign) and line.op == "=" and isinstance(line.target, nodes.NameRef):
-            _twice(scope, line.target.name, assigned)
+            _report_duplicates(scope, line.target.name, assigned)
     return tuple(checked_statements)
 
 
-def _twice(scope: Scope, name: nodes.Name, assigned: dict[str, Span]) -> None:
+def _report_duplicates(scope: Scope, name: nodes.Name, assigned: dict[str, Span]) -> None:
     if name.text in assigned:
         scope.report.error(
             "two-writers", f"`{name.text}` is set twice in one block, and only the second counts", name.span,
@@ -52,14 +52,14 @@ def _steer(scope: Scope, line: nodes.Steer, block: Block) -> model.Statement | N
     push = value(scope, line.push, PUSH)
     if push.type.kind is Kind.BAD:
         return None
-    if not fits(push.type, PUSH):
-        mismatch(scope.report, line.push, push.type, PUSH, "`steer`", push)
+    if not is_compatible(push.type, PUSH):
+        report_mismatch(scope.report, line.push, push.type, PUSH, "`steer`", push)
         return None
     return model.Steer(push, line.span)
 
 
 def _face(scope: Scope, line: nodes.Face, block: Block) -> model.Statement | None:
-    direction = faced(scope, line.push)
+    direction = facing_direction(scope, line.push)
     return None if direction.type.kind is Kind.BAD else model.Face(direction, line.span)
 
 
@@ -68,19 +68,19 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
     assert species is not None
     target, of, over, element, inner = line.target, None, None, None, scope
     if isinstance(target, nodes.IndexAll):
-        element_access = each_of(scope, target)
+        element_access = pair_values_of(scope, target)
         if element_access is None:
             return None
         pair_attribute, over, element, inner = element_access
         name, type = pair_attribute.name, pair_attribute.type
     elif isinstance(target, nodes.Index) and isinstance(target.owner, nodes.NameRef):
-        checked = scope.typed(target)
+        checked = scope.type_expression(target)
         if not isinstance(checked, model.Attribute):
             value(scope, line.value)
             return None
         name, type, of = checked.name, checked.type, checked.of
     elif isinstance(target, nodes.NameRef):
-        own = _target(scope, target.name, block, line)
+        own = _assigned_attribute(scope, target.name, block, line)
         if own is None:
             value(scope, line.value)
             return None
@@ -89,7 +89,7 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         value(scope, line.value)
         scope.report.error(
             "not-own",
-            f"{quoted(target.span)} belongs to another; an agent sets only its own values",
+            f"{quote_source(target.span)} belongs to another; an agent sets only its own values",
             target.span,
             "raise an event with `emit`, and let the other set it in `on`",
         )
@@ -107,7 +107,7 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
                 f"set it: `{name} = …`",
             )
             return None
-        change = added(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
+        change = amount_or_rate(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
         return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of, over, element)
     if block.commuting and name not in ("heading", "velocity") and type.kind not in (Kind.AGENT, Kind.ITEM):
         text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
@@ -120,7 +120,7 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
     return None if new.type.kind is Kind.BAD else model.Assign(name, "=", new, False, line.span, of, over, element)
 
 
-def _target(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) -> tuple[str, Type] | None:
+def _assigned_attribute(scope: Scope, name: nodes.Name, block: Block, line: nodes.Assign) -> tuple[str, Type] | None:
     """The attribute that a bare name on the left stands for."""
     species, report, text = scope.species, scope.report, name.text
     assert species is not None
@@ -182,13 +182,13 @@ def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | Non
     species = scope.species
     assert species is not None
     to = place(scope, line.to, "`to`")
-    own = _own_amount(scope, line.attribute, "to give from")
+    own = _own_amount_type(scope, line.attribute, "to give from")
     amount = None
     if line.amount is not None:
-        amount = added(
+        amount = amount_or_rate(
             scope, line.amount, own or NUMBER, block, "give ", f" {line.attribute.text} to {' '.join(line.to.span.text.split())}"
         )
-    if own is None or not _holds(scope, line.to, to, line.attribute, own) or (line.amount is not None and amount is None):
+    if own is None or not _has_attribute(scope, line.to, to, line.attribute, own) or (line.amount is not None and amount is None):
         return None
     scope.declared.written.add(f"{species.name}.{line.attribute.text}")
     return model.Give(line.attribute.text, amount, to, block.body, line.span)
@@ -197,15 +197,15 @@ def _give(scope: Scope, line: nodes.Give, block: Block) -> model.Statement | Non
 def take(scope: Scope, line: nodes.Take) -> model.Take | None:
     """Check `take 1 load from meal` or `take all load from grass`. It is the part of a transition that is settled among all
     agents that claim it."""
-    source = scope.typed(line.source, Type(Kind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
+    source = scope.type_expression(line.source, Type(Kind.PLACE)) if isinstance(line.source, nodes.NameRef) else None
     if source is None or source.type.kind is not Kind.FIELD:
         source = place(scope, line.source, "`from`")
-    own = None if line.attribute is None else _own_amount(scope, line.attribute, "to take it into")
+    own = None if line.attribute is None else _own_amount_type(scope, line.attribute, "to take it into")
     called = line.attribute.text if line.attribute is not None else ""
     amount = None
     if line.amount is not None:
         amount = value_of_type(
-            scope.inside(runs_once=True), line.amount, own or NUMBER, " ".join(("`take …", f"{called}`" if called else "`"))
+            scope.with_changes(runs_once=True), line.amount, own or NUMBER, " ".join(("`take …", f"{called}`" if called else "`"))
         )
         if amount.type.kind is Kind.BAD:
             return None
@@ -224,19 +224,19 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
         if (
             line.attribute is not None
             and own is not None
-            and not _holds_of_field(scope, line.source, source, line.attribute, own)
+            and not _is_field_amount(scope, line.source, source, line.attribute, own)
         ):
             return None
     elif line.attribute is None:
         if source.type.kind is not Kind.BAD:
             scope.report.error(
                 "missing-argument",
-                f"`take` does not say what is taken from {quoted(line.source.span)}",
+                f"`take` does not say what is taken from {quote_source(line.source.span)}",
                 line.span,
                 f"name the attribute: `take 1 load from {' '.join(line.source.span.text.split())}`",
             )
         return None
-    elif own is None or not _holds(scope, line.source, source, line.attribute, own):
+    elif own is None or not _has_attribute(scope, line.source, source, line.attribute, own):
         return None
     assert scope.species is not None
     if called:
@@ -244,18 +244,18 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
     return model.Take(called or None, amount, source, line.span)
 
 
-def _holds_of_field(scope: Scope, node: nodes.Expr, expr: Expr, attribute: nodes.Name, own: Type) -> bool:
+def _is_field_amount(scope: Scope, node: nodes.Expr, expr: Expr, attribute: nodes.Name, own: Type) -> bool:
     """Whether the agent's attribute is a plain number, as a field's cells hold."""
-    if own.kind is Kind.BAD or fits(NUMBER, own):
+    if own.kind is Kind.BAD or is_compatible(NUMBER, own):
         return own.kind is not Kind.BAD
     a = model.Attribute(own, model.Rate.AGENT, attribute.span, None, attribute.text)
-    disagree(
+    report_disagreement(
         scope.report, "take", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, replace(expr, type=NUMBER))
     )
     return False
 
 
-def _own_amount(scope: Scope, name: nodes.Name, why: str) -> Type | None:
+def _own_amount_type(scope: Scope, name: nodes.Name, why: str) -> Type | None:
     species = scope.species
     assert species is not None
     type = species.attributes.get(name.text)
@@ -269,19 +269,19 @@ def _own_amount(scope: Scope, name: nodes.Name, why: str) -> Type | None:
             did_you_mean(name.text, known, f"declare it: `{name.text} = 0` in `species {species.name}`"),
         )
         return None
-    scope.use("attribute", f"{species.name}.{name.text}")
+    scope.mark_used("attribute", f"{species.name}.{name.text}")
     if type.kind not in (Kind.NUMBER, Kind.BAD):
-        mismatch(scope.report, nodes.NameRef(name, name.span), type, NUMBER, "what is taken or given")
+        report_mismatch(scope.report, nodes.NameRef(name, name.span), type, NUMBER, "what is taken or given")
         return None
     return type
 
 
-def _holds(scope: Scope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Name, own: Type) -> bool:
+def _has_attribute(scope: Scope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Name, own: Type) -> bool:
     """Whether the item has the attribute, of the same dimension."""
     if item_expr.type.kind is Kind.BAD:
         return False
     if item_expr.type.kind is not Kind.ITEM:
-        mismatch(scope.report, node, item_expr.type, Type(Kind.ITEM), "`take` and `give`")
+        report_mismatch(scope.report, node, item_expr.type, Type(Kind.ITEM), "`take` and `give`")
         return False
     thing = scope.declared.things.get(item_expr.type.of or "")
     held = {a.name: a.type for a in thing.attributes} if thing else {}
@@ -295,15 +295,17 @@ def _holds(scope: Scope, node: nodes.Expr, item_expr: Expr, attribute: nodes.Nam
                 held,
                 f"declare it: `items {item_expr.type.of} {{ {attribute.text} = 0 }}`"
                 if not held
-                else f"they have {listed(held)}",
+                else f"they have {list_names(held)}",
             ),
         )
         return False
     scope.bind_value(attribute.span, item_expr.type, attribute.text)
-    if not fits(held[attribute.text], own):
+    if not is_compatible(held[attribute.text], own):
         a = model.Attribute(own, model.Rate.AGENT, attribute.span, None, attribute.text)
         b = model.Attribute(held[attribute.text], model.Rate.AGENT, node.span, item_expr, attribute.text)
-        disagree(scope.report, "take and give", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, b))
+        report_disagreement(
+            scope.report, "take and give", attribute.span, (nodes.NameRef(attribute, attribute.span), a), (node, b)
+        )
         return False
     return True
 

@@ -8,7 +8,7 @@ from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.program import model
 from antdsl.program.model import Const, Dim, Expr, Kind, Rate, Type
-from antdsl.program.names.collect import free
+from antdsl.program.names.collect import check_free
 from antdsl.program.names.scope import (
     LENGTH,
     NUMBER,
@@ -16,26 +16,26 @@ from antdsl.program.names.scope import (
     TIME,
     Declared,
     FileNames,
-    Keys,
     Scope,
     SpeciesNames,
+    StableKeys,
     did_you_mean,
-    duplicate,
-    listed,
+    list_names,
+    report_duplicate,
 )
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import number
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, ITEM_ATTRIBUTES
-from antdsl.program.types.descriptions import fits, mismatch, quoted
+from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import value, value_of_type
 from antdsl.syntax import nodes
 from antdsl.syntax.words import WORD_SETTINGS
 
 
-def outside(declared: Declared, names: FileNames, path: str) -> Scope:
+def outer_scope(declared: Declared, names: FileNames, path: str) -> Scope:
     """A place outside of every species."""
-    return Scope(declared, names, Keys(path), declared.report, no_keep="outside of a species nothing is remembered")
+    return Scope(declared, names, StableKeys(path), declared.report, no_keep="outside of a species nothing is remembered")
 
 
 # --- things ----------------------------------------------------------------------------------------------------------
@@ -46,29 +46,29 @@ def declare_world(declared: Declared, names: FileNames) -> None:
     for item in names.node.items:
         if isinstance(item, nodes.World):
             for thing in item.items:
-                _thing(declared, names, thing)
+                _declare_thing(declared, names, thing)
 
 
-def _thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
+def _declare_thing(declared: Declared, names: FileNames, item: nodes.WorldItem) -> None:
     report, kind, name = declared.report, item.kind.text, item.name.text
     if kind not in KINDS_OF_THINGS:
         report.error(
             "unknown-kind",
             f"no kind of thing `{kind}`",
             item.kind.span,
-            did_you_mean(kind, KINDS_OF_THINGS, f"kinds are {listed(tuple(KINDS_OF_THINGS))}"),
+            did_you_mean(kind, KINDS_OF_THINGS, f"kinds are {list_names(tuple(KINDS_OF_THINGS))}"),
         )
         declared.unclear.add(name)
         return
     known = declared.things.get(name)
     if known is not None and (known.kind != kind or known.span.source.path == item.span.source.path):
-        duplicate(report, kind, item.name, known.span)
+        report_duplicate(report, kind, item.name, known.span)
         return
     if kind not in ("items", "species") and item.attributes:
         report.error(
             "wrong-kind", f"{kind} `{name}` has no values", item.attributes[0].span, "only `items` and `species` have attributes"
         )
-    if known is None and not free(report, item.name):
+    if known is None and not check_free(report, item.name):
         return
     attributes = tuple(_attribute(declared, names, item, each) for each in item.attributes)
     if known is not None:
@@ -85,7 +85,7 @@ def _attribute(declared: Declared, names: FileNames, item: nodes.WorldItem, node
     report, name = declared.report, node.name.text
     twice = [d for d in item.attributes if d.name.text == name]
     if twice[0] is not node:
-        duplicate(report, "attribute", node.name, twice[0].name.span)
+        report_duplicate(report, "attribute", node.name, twice[0].name.span)
     taken = ITEM_ATTRIBUTES if item.kind.text == "items" else BUILTIN_ATTRIBUTES
     if name in taken:
         report.error(
@@ -94,13 +94,13 @@ def _attribute(declared: Declared, names: FileNames, item: nodes.WorldItem, node
             node.name.span,
             f"call it otherwise, such as `my_{name}`",
         )
-    expr = value(outside(declared, names, f"world.{item.name.text}"), node.value)
+    expr = value(outer_scope(declared, names, f"world.{item.name.text}"), node.value)
     constant = constant_behind(expr)
     if constant is None or constant.type.kind is not Kind.NUMBER:
         if expr.type.kind is not Kind.BAD:
             report.error(
                 "wrong-rate",
-                f"{quoted(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with",
+                f"{quote_source(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with",
                 node.value.span,
                 f"write a number: `{name} = 0`",
             )
@@ -108,7 +108,7 @@ def _attribute(declared: Declared, names: FileNames, item: nodes.WorldItem, node
     return model.ItemAttribute(name, constant.type, constant, node.help.text if node.help else "", node.name.span)
 
 
-def check_brought(declared: Declared) -> None:
+def check_world_species(declared: Declared) -> None:
     """`world { species rabbit { … } }` against the species itself, where both are checked together."""
     for thing in declared.things.values():
         species = declared.species.get(thing.name)
@@ -125,8 +125,8 @@ def check_brought(declared: Declared) -> None:
                     did_you_mean(attribute.name, species.attributes),
                     labels=labels,
                 )
-            elif not fits(own, attribute.type):
-                mismatch(
+            elif not is_compatible(own, attribute.type):
+                report_mismatch(
                     declared.report,
                     nodes.NameRef(nodes.Name(attribute.name, attribute.span), attribute.span),
                     attribute.type,
@@ -148,12 +148,12 @@ def declare_fields(declared: Declared, names: FileNames) -> list[nodes.FieldDecl
         if known is None:
             if item.name.text in declared.things or item.name.text in declared.species:
                 clash = declared.things.get(item.name.text)
-                duplicate(declared.report, "name", item.name, clash.span if clash else item.name.span)
-            elif free(declared.report, item.name):
+                report_duplicate(declared.report, "name", item.name, clash.span if clash else item.name.span)
+            elif check_free(declared.report, item.name):
                 declared.fields[item.name.text] = item
                 added.append(item)
         elif known.span.source.path == item.span.source.path or known.span.text.split() != item.span.text.split():
-            duplicate(declared.report, "field", item.name, known.name.span)
+            report_duplicate(declared.report, "field", item.name, known.name.span)
     if len(declared.fields) > limits.FIELDS:
         declared.report.error(
             "too-many", f"more than {limits.FIELDS} fields", added[-1].name.span if added else None, "leave some out"
@@ -164,7 +164,7 @@ def declare_fields(declared: Declared, names: FileNames) -> list[nodes.FieldDecl
 def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> model.Field | None:
     """A field with its settings; None when it has no cell size to speak of."""
     report = declared.report
-    scope = outside(declared, names, f"field.{node.name.text}")
+    scope = outer_scope(declared, names, f"field.{node.name.text}")
     surfaces = tuple(name.text for name in node.surfaces if _is_ground(declared, name))
     settings: dict[str, nodes.Setting] = {}
     for setting in node.settings:
@@ -174,15 +174,15 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
                 "unknown-setting",
                 f"a field has no setting `{word}`",
                 setting.name.span,
-                did_you_mean(word, SETTINGS, f"settings are {listed(SETTINGS)}"),
+                did_you_mean(word, SETTINGS, f"settings are {list_names(SETTINGS)}"),
             )
             if not isinstance(setting.value, nodes.NameRef):
-                scope.typed(setting.value)
+                scope.type_expression(setting.value)
         elif word in settings:
-            duplicate(report, "setting", setting.name, settings[word].name.span)
+            report_duplicate(report, "setting", setting.name, settings[word].name.span)
         else:
             settings[word] = setting
-    _one_decay(report, settings)
+    _check_single_decay(report, settings)
     setting_values = {word: SETTINGS[word](scope, setting) for word, setting in settings.items()}
     if "cell" not in settings:
         report.error(
@@ -195,8 +195,8 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
     return model.Field(
         node.name.text, surfaces, cell, setting_values.get("half_life"),
         setting_values.get("evaporate"), setting_values.get("keeps"), setting_values.get("diffuse"),
-        _chosen("combine", setting_values), setting_values.get("limit"), _stencil_of(setting_values),
-        _chosen("deposits", setting_values), node.name.span,
+        _chosen_word("combine", setting_values), setting_values.get("limit"), _stencil_size(setting_values),
+        _chosen_word("deposits", setting_values), node.name.span,
     )  # fmt: skip
 
 
@@ -220,12 +220,12 @@ def _is_ground(declared: Declared, name: nodes.Name) -> bool:
             "wrong-kind",
             f"`{name.text}` is {thing.kind}, and a field lies on a surface",
             name.span,
-            f"surfaces are {listed(grounds)}" if grounds else None,
+            f"surfaces are {list_names(grounds)}" if grounds else None,
         )
     return False
 
 
-def _one_decay(report: Report, settings: dict[str, nodes.Setting]) -> None:
+def _check_single_decay(report: Report, settings: dict[str, nodes.Setting]) -> None:
     decays = [settings[word] for word in ("half_life", "evaporate", "keeps") if word in settings]
     for extra in decays[1:]:
         report.error(
@@ -235,18 +235,18 @@ def _one_decay(report: Report, settings: dict[str, nodes.Setting]) -> None:
         )  # fmt: skip
 
 
-def _setting(type: Type, least: float | None = None, above: bool = False) -> Callable[[Scope, nodes.Setting], Expr | None]:
+def _setting_rule(type: Type, least: float | None = None, above: bool = False) -> Callable[[Scope, nodes.Setting], Expr | None]:
     def check(scope: Scope, node: nodes.Setting) -> Expr | None:
         expr = value_of_type(scope, node.value, type, f"`{node.name.text}`")
         if expr.type.kind is Kind.BAD:
             return None
-        if not of_the_run(scope.report, expr, f"`{node.name.text}` of a field"):
+        if not is_run_constant(scope.report, expr, f"`{node.name.text}` of a field"):
             return None
         constant = constant_behind(expr)
         if constant is not None and least is not None and (constant.number < least or (above and constant.number == least)):
             scope.report.error(
                 "out-of-range",
-                f"`{node.name.text}` cannot be {quoted(node.value.span)}",
+                f"`{node.name.text}` cannot be {quote_source(node.value.span)}",
                 node.value.span,
                 f"write {'more than' if above else 'at least'} {least:g}",
             )
@@ -256,18 +256,21 @@ def _setting(type: Type, least: float | None = None, above: bool = False) -> Cal
     return check
 
 
-def of_the_run(report: Report, expr: Expr, who: str) -> bool:
+def is_run_constant(report: Report, expr: Expr, who: str) -> bool:
     """Return whether a value is equal for all agents and all steps; report an error otherwise."""
     if expr.rate <= Rate.RUN:
         return True
     differs = "changes from step to step" if expr.rate is Rate.STEP else "differs from agent to agent"
     report.error(
-        "wrong-rate", f"{quoted(expr.span)} {differs}, and {who} is one value for the whole run", expr.span, "write a number"
+        "wrong-rate",
+        f"{quote_source(expr.span)} {differs}, and {who} is one value for the whole run",
+        expr.span,
+        "write a number",
     )
     return False
 
 
-def _keeps(scope: Scope, node: nodes.Setting) -> Expr | None:
+def _keep_factor(scope: Scope, node: nodes.Setting) -> Expr | None:
     """`keeps 90 %/step` is the factor 0.9 for each step."""
     expr = value(scope, node.value)
     if expr.type.kind is Kind.BAD:
@@ -278,7 +281,7 @@ def _keeps(scope: Scope, node: nodes.Setting) -> Expr | None:
         better = f"`keeps {text}/step`" if expr.type == NUMBER else "`keeps 90 %/step`"
         scope.report.error(
             "wrong-unit",
-            f"`keeps` is a share for each step, and {quoted(node.value.span)} is not",
+            f"`keeps` is a share for each step, and {quote_source(node.value.span)} is not",
             node.value.span,
             f"write {better}, or `half_life 8 s`",
         )
@@ -286,7 +289,7 @@ def _keeps(scope: Scope, node: nodes.Setting) -> Expr | None:
     if not 0 <= constant.number <= 1:
         scope.report.error(
             "out-of-range",
-            f"`keeps` cannot be {quoted(node.value.span)}",
+            f"`keeps` cannot be {quote_source(node.value.span)}",
             node.value.span,
             "write a share from `0 %/step` to `100 %/step`",
         )
@@ -294,7 +297,7 @@ def _keeps(scope: Scope, node: nodes.Setting) -> Expr | None:
     return number(constant.number, node.value.span)
 
 
-def _word(scope: Scope, node: nodes.Setting) -> Expr | None:
+def _word_number(scope: Scope, node: nodes.Setting) -> Expr | None:
     """Return the number of a setting's word among the allowed words."""
     setting = node.name.text
     words = WORD_SETTINGS[setting]
@@ -302,7 +305,7 @@ def _word(scope: Scope, node: nodes.Setting) -> Expr | None:
     if word not in words:
         scope.report.error(
             "wrong-kind",
-            f"`{setting}` is {' or '.join(f'`{each}`' for each in words)}, not {quoted(node.value.span)}",
+            f"`{setting}` is {' or '.join(f'`{each}`' for each in words)}, not {quote_source(node.value.span)}",
             node.value.span,
             f"write {' or '.join(f'`{setting} {each}`' for each in words)}",
         )
@@ -310,7 +313,7 @@ def _word(scope: Scope, node: nodes.Setting) -> Expr | None:
     return number(float(words.index(word)), node.value.span)
 
 
-def _chosen(setting: str, setting_values: dict[str, Expr | None]) -> str:
+def _chosen_word(setting: str, setting_values: dict[str, Expr | None]) -> str:
     """Return the word of a setting; the default if it is absent or wrong."""
     chosen_value = setting_values.get(setting)
     return WORD_SETTINGS[setting][int(chosen_value.number) if isinstance(chosen_value, Const) else 0]
@@ -324,7 +327,7 @@ def _stencil(scope: Scope, node: nodes.Setting) -> Expr | None:
     if constant is None or constant.number not in STENCILS:
         scope.report.error(
             "out-of-range",
-            f"`stencil` is 4 or 8, not {quoted(node.value.span)}",
+            f"`stencil` is 4 or 8, not {quote_source(node.value.span)}",
             node.value.span,
             "write `stencil 4`, cells beside it, or `stencil 8`, those at its corners too",
         )
@@ -332,7 +335,7 @@ def _stencil(scope: Scope, node: nodes.Setting) -> Expr | None:
     return number(constant.number, node.value.span)
 
 
-def _stencil_of(setting_values: dict[str, Expr | None]) -> int:
+def _stencil_size(setting_values: dict[str, Expr | None]) -> int:
     chosen_value = setting_values.get("stencil")
     return int(chosen_value.number) if isinstance(chosen_value, Const) else STENCILS[0]
 
@@ -341,13 +344,13 @@ STENCILS = (4, 8)  # of how many cells round about, the usual one first
 
 
 SETTINGS: dict[str, Callable[[Scope, nodes.Setting], Expr | None]] = {
-    "cell": _setting(LENGTH, 0, above=True),
-    "half_life": _setting(TIME, 0, above=True),
-    "evaporate": _setting(PER_SECOND, 0),
-    "keeps": _keeps,
-    "diffuse": _setting(Type(Kind.NUMBER, Dim(length=2, time=-1)), 0),
+    "cell": _setting_rule(LENGTH, 0, above=True),
+    "half_life": _setting_rule(TIME, 0, above=True),
+    "evaporate": _setting_rule(PER_SECOND, 0),
+    "keeps": _keep_factor,
+    "diffuse": _setting_rule(Type(Kind.NUMBER, Dim(length=2, time=-1)), 0),
     "stencil": _stencil,
-    "combine": _word,
-    "deposits": _word,
-    "limit": _setting(NUMBER, 0, above=True),
+    "combine": _word_number,
+    "deposits": _word_number,
+    "limit": _setting_rule(NUMBER, 0, above=True),
 }

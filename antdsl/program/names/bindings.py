@@ -17,7 +17,7 @@ from antdsl.source import Span
 Key = tuple[str, ...]
 
 
-class Use(NamedTuple):
+class NameUse(NamedTuple):
     """A place where a name is used, and the declaration that it stands for: its key, or its place where only a part of the text
     sees it, as the `n` of `sum(n in …)`. In `take 1 load from meal` one name has two uses."""
 
@@ -29,4 +29,4 @@ class Use(NamedTuple):
 class Bindings:
     """Every use of a name that could be resolved, in the order of checking; one may be listed again."""
 
-    uses: tuple[Use, ...] = ()
+    uses: tuple[NameUse, ...] = ()

@@ -8,7 +8,15 @@ from collections.abc import Callable, Iterator, Mapping
 from antdsl import limits
 from antdsl.diagnostics import Fix, Report
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.names.scope import BehaviourInfo, Declared, FileNames, MachineNames, SpeciesNames, did_you_mean, duplicate
+from antdsl.program.names.scope import (
+    BehaviourInfo,
+    Declared,
+    FileNames,
+    MachineNames,
+    SpeciesNames,
+    did_you_mean,
+    report_duplicate,
+)
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES
 from antdsl.source import Span
@@ -63,10 +71,10 @@ class Loader:
                 self._behaviour(names, item)
         for item in node.items:
             if isinstance(item, nodes.Use):
-                self._use(names, item, (*above, node))
+                self._load_use(names, item, (*above, node))
         return names
 
-    def home(self, behaviour: str) -> str | None:
+    def library_of(self, behaviour: str) -> str | None:
         """The library that has a behaviour of that name, whether it is used or not."""
         for name in LIBRARIES:
             node = self.library(name)
@@ -74,7 +82,7 @@ class Loader:
                 return name
         return None
 
-    def shipped(self, library: str, behaviour: str) -> BehaviourInfo | None:
+    def library_behaviour(self, library: str, behaviour: str) -> BehaviourInfo | None:
         """A behaviour of a library that the language itself needs, whether the library is used or not."""
         names = self.libraries.get(library)
         if names is None and (node := self.library(library)) is not None:
@@ -84,7 +92,7 @@ class Loader:
     def _behaviour(self, names: FileNames, node: nodes.Behaviour) -> None:
         name = node.name.text
         if name in names.own:
-            duplicate(self.report, "behaviour", node.name, names.own[name].node.name.span)
+            report_duplicate(self.report, "behaviour", node.name, names.own[name].node.name.span)
         elif name in BUILTINS or name in REDUCERS or name in RESERVED:
             self.report.error(
                 "reserved-name", f"`{name}` is a word of the language", node.name.span, f"call it otherwise, such as `my_{name}`"
@@ -92,7 +100,7 @@ class Loader:
         else:
             names.own[name] = BehaviourInfo(node, names)
 
-    def _use(self, names: FileNames, item: nodes.Use, above: tuple[nodes.File, ...]) -> None:
+    def _load_use(self, names: FileNames, item: nodes.Use, above: tuple[nodes.File, ...]) -> None:
         if item.library is not None:
             self._use_library(names, item.library, above)
         elif item.path is not None and item.alias is not None:
@@ -154,19 +162,19 @@ def declare(declared: Declared, names: FileNames) -> None:
         if isinstance(item, nodes.Species):
             known = declared.species.get(item.name.text)
             if known is not None and known.node is not None:
-                duplicate(report, "species", item.name, known.node.name.span)
+                report_duplicate(report, "species", item.name, known.node.name.span)
                 continue
-            free(report, item.name)
+            check_free(report, item.name)
             species_names = SpeciesNames(item.name.text, item)
             declared.species[item.name.text] = species_names
-            _machines(report, species_names, item)
+            _declare_machines(report, species_names, item)
     for item in names.node.items:
         if isinstance(item, nodes.Species):
             for event, span in _events(item):
                 declared.events.setdefault(event, span)
 
 
-def free(report: Report, name: nodes.Name) -> bool:
+def check_free(report: Report, name: nodes.Name) -> bool:
     """Whether a name may be declared; complains when it is a word of the language."""
     if name.text in _TAKEN:
         report.error(
@@ -176,11 +184,11 @@ def free(report: Report, name: nodes.Name) -> bool:
     return True
 
 
-def free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
+def check_free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
     """Like `free`, for members of a species, where built-in names are taken too."""
     builtin = BUILTIN_ATTRIBUTES.get(name.text)
     if builtin is None:
-        return free(report, name)
+        return check_free(report, name)
     if builtin.settable:
         text = " ".join(value.text.split())
         report.error(
@@ -197,28 +205,28 @@ def free_in_species(report: Report, name: nodes.Name, value: Span) -> bool:
     return False
 
 
-def _machines(report: Report, species: SpeciesNames, node: nodes.Species) -> None:
+def _declare_machines(report: Report, species: SpeciesNames, node: nodes.Species) -> None:
     """Machines of a species with their states: those written in `machine`, and `main` for states straight in the species."""
     loose = tuple(m for m in node.members if isinstance(m, nodes.State))
     if loose:
-        _machine(report, species, "main", loose)
+        _declare_machine(report, species, "main", loose)
     for member in node.members:
         if isinstance(member, nodes.Machine):
             if member.name.text in species.machines:
-                duplicate(report, "machine", member.name, member.name.span)
+                report_duplicate(report, "machine", member.name, member.name.span)
                 continue
-            free_in_species(report, member.name, member.name.span)
-            _machine(report, species, member.name.text, tuple(m for m in member.members if isinstance(m, nodes.State)))
+            check_free_in_species(report, member.name, member.name.span)
+            _declare_machine(report, species, member.name.text, tuple(m for m in member.members if isinstance(m, nodes.State)))
 
 
-def _machine(report: Report, species: SpeciesNames, name: str, states: tuple[nodes.State, ...]) -> None:
+def _declare_machine(report: Report, species: SpeciesNames, name: str, states: tuple[nodes.State, ...]) -> None:
     machine_names = MachineNames(name, f"{species.name}.{name}", {})
     spans: dict[str, Span] = {}
     for state in states:
         if state.name.text in machine_names.states:
-            duplicate(report, "state", state.name, spans[state.name.text])
+            report_duplicate(report, "state", state.name, spans[state.name.text])
             continue
-        free(report, state.name)
+        check_free(report, state.name)
         machine_names.states[state.name.text] = len(machine_names.states)
         spans[state.name.text] = state.name.span
     if len(machine_names.states) > limits.STATES:
@@ -235,14 +243,14 @@ def _events(species: nodes.Species) -> Iterator[tuple[str, Span]]:
     """Events that a species raises or handles."""
     for actions in action_blocks(species):
         for action in actions:
-            if (event := raised(action)) is not None:
+            if (event := raised_event(action)) is not None:
                 yield event.text, event.span
     for member in species.members:
         if isinstance(member, nodes.On) and member.event.text not in EVENTS:
             yield member.event.text, member.event.span
 
 
-def raised(part: object) -> nodes.Name | None:
+def raised_event(part: object) -> nodes.Name | None:
     """The event that a line raises."""
     row = EFFECTS.get(part.verb) if isinstance(part, nodes.Ask) else None
     return part.name if isinstance(part, nodes.Ask) and row is not None and row.target == "event" else None

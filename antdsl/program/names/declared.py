@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from antdsl.program.names.bindings import Key
-from antdsl.program.names.collect import EVENTS, raised
-from antdsl.program.traverse import written
+from antdsl.program.names.collect import EVENTS, raised_event
+from antdsl.program.traverse import written_nodes
 from antdsl.syntax import nodes
 
 Declarations = Iterator["Declaration"]
@@ -65,8 +65,8 @@ def _species(path: str, item: nodes.Species) -> Declarations:
     name = item.name.text
     yield Declaration(("species", name), item.name, item)
     yield from _members(name, "main", item.members)
-    for part, _ in written(item.members):
-        event = part.event if isinstance(part, nodes.On) else raised(part)
+    for part, _ in written_nodes(item.members):
+        event = part.event if isinstance(part, nodes.On) else raised_event(part)
         if event is not None and event.text not in EVENTS:
             yield Declaration(("event", event.text), event, event)
 
@@ -86,12 +86,12 @@ def _members(species: str, machine: str, members: tuple[object, ...]) -> Declara
             yield from (Declaration(("let", species, machine, state, each.name.text), each.name, each) for each in lets)
 
 
-def _nothing(path: str, item: nodes.Spec) -> Declarations:
+def _no_declarations(path: str, item: nodes.Spec) -> Declarations:
     """A spec declares nothing."""
     return iter(())
 
 
 _TOP: dict[type, Callable[[str, Any], Declarations]] = {
     nodes.Use: _use, nodes.World: _world, nodes.FieldDecl: _field, nodes.Behaviour: _behaviour, nodes.Species: _species,
-    nodes.Spec: _nothing,
+    nodes.Spec: _no_declarations,
 }  # fmt: skip

@@ -34,10 +34,10 @@ def missing_thing(scope: Scope, name: str, want: Type | None) -> tuple[str, Fix 
     world = next((item for item in scope.file.node.items if isinstance(item, nodes.World)), None)
     if world is None:
         return f"declare it: `world {{ {line} }}`, and say in the scene what it is", None
-    return f"declare it in `world`: `{line}`, and say in the scene what it is", _at_the_end(world.span, line)
+    return f"declare it in `world`: `{line}`, and say in the scene what it is", _append_fix(world.span, line)
 
 
-def _at_the_end(world: Span, line: str) -> Fix | None:
+def _append_fix(world: Span, line: str) -> Fix | None:
     """The line put behind the last one of a block."""
     text, source = world.text, world.source
     if not text.endswith("}"):

@@ -12,7 +12,7 @@ from antdsl.syntax import nodes
 T = TypeVar("T")
 
 
-def ordered(
+def order_declarations(
     report: Report,
     what: str,
     declared: Mapping[str, T],
@@ -22,7 +22,7 @@ def ordered(
     """Return the declarations in an order in which each follows those that it uses, and the names in a cycle.
 
     `uses` gives the trees in which to look for names. A cycle is reported once, and cut for the order."""
-    graph = {name: _used(each, declared, uses) for name, each in declared.items()}
+    graph = {name: _used_names(each, declared, uses) for name, each in declared.items()}
     ordered_names: set[str] = set()
     circular: set[str] = set()
     order: list[T] = []
@@ -43,18 +43,18 @@ def ordered(
             if used in path:
                 circle = path[path.index(used) :]
                 if not circular & set(circle):
-                    _circle(report, what, [name_of(declared[each]) for each in circle])
+                    _report_circle(report, what, [name_of(declared[each]) for each in circle])
                 circular |= set(circle)
             elif used not in ordered_names:
                 stack.append((used, 0))
     return order, circular
 
 
-def _used(each: T, declared: Mapping[str, T], uses: Callable[[T], Iterable[object]]) -> list[str]:
+def _used_names(each: T, declared: Mapping[str, T], uses: Callable[[T], Iterable[object]]) -> list[str]:
     return list({name.text: None for tree in uses(each) for name in names_in(tree) if name.text in declared})
 
 
-def _circle(report: Report, what: str, names: Sequence[nodes.Name]) -> None:
+def _report_circle(report: Report, what: str, names: Sequence[nodes.Name]) -> None:
     text = " → ".join(f"`{name.text}`" for name in [*names, names[0]])
     report.error(
         "circle",

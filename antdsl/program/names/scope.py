@@ -9,8 +9,8 @@ from typing import Any
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.memo import Memo
-from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Thing, Type, WorldThing
-from antdsl.program.names.bindings import Use
+from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, ThingRef, Type, WorldThing
+from antdsl.program.names.bindings import NameUse
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, HIT_ATTRIBUTES, ITEM_ATTRIBUTES, TYPE_WORDS
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -93,7 +93,7 @@ class Declared:
     fields: dict[str, nodes.FieldDecl] = field(default_factory=dict)
     species: dict[str, SpeciesNames] = field(default_factory=dict)
     events: dict[str, Span] = field(default_factory=dict)
-    bound: list[Use] = field(default_factory=list)  # names with what they were resolved to, in the order of checking
+    bound: list[NameUse] = field(default_factory=list)  # names with what they were resolved to, in the order of checking
     used: set[tuple[str, str]] = field(default_factory=set)
     written: set[str] = field(default_factory=set)  # attributes, as `species.name`
     unclear: set[str] = field(default_factory=set)  # things of the world of unknown kind, reported already
@@ -116,7 +116,7 @@ def is_known_missing(scope: Scope, kind: str, name: nodes.Name, owner: str = "")
     return False
 
 
-class Keys:
+class StableKeys:
     """Names for memories and draws that stay when lines move: a path in the text, and the k-th of its word there."""
 
     __slots__ = ("counts", "path")
@@ -136,7 +136,7 @@ class Scope:
 
     declared: Declared
     file: FileNames
-    keys: Keys
+    keys: StableKeys
     report: Report
     species: SpeciesNames | None = None
     machine: MachineNames | None = None
@@ -150,10 +150,10 @@ class Scope:
     shades: bool = False  # a rule of `fuzzy`: beside a shade of truth a yes or no counts as 1 or 0
     runs_once: bool = False  # happens once, not each step: shares and amounts instead of rates
 
-    def inside(self, **changes: Any) -> Scope:
+    def with_changes(self, **changes: Any) -> Scope:
         return replace(self, **changes)
 
-    def typed(self, node: nodes.Expr, want: Type | None = None) -> Expr:
+    def type_expression(self, node: nodes.Expr, want: Type | None = None) -> Expr:
         """Return the expression with its type. `want` gives `none` and bare names their meaning; it is not enforced."""
         return self.declared.rules[type(node)](self, node, want)
 
@@ -161,12 +161,12 @@ class Scope:
         """Record what the name at a place was resolved to. Names in an expanded behaviour are not recorded: they are not at that
         place of the text."""
         if self.behaviour is None or self.generic:
-            self.declared.bound.append(Use(span, key))
+            self.declared.bound.append(NameUse(span, key))
 
     def bind_local(self, span: Span, declared: Span) -> None:
         """Like `bind`, for a name that is declared in the surrounding text."""
         if self.behaviour is None or self.generic:
-            self.declared.bound.append(Use(span, declared))
+            self.declared.bound.append(NameUse(span, declared))
 
     def bind_thing(self, name: nodes.Name) -> None:
         """Like `bind`, for a name that can only be a species or a thing of the world."""
@@ -200,13 +200,13 @@ class Scope:
         elif owner.kind is Kind.ITEMS and name.text in attributes_of(self.declared, one):
             self.bind_value(name.span, one, name.text)
 
-    def use(self, kind: str, name: str) -> None:
+    def mark_used(self, kind: str, name: str) -> None:
         self.declared.used.add((kind, name))
 
 
-def bad(span: Span) -> Expr:
+def bad_expression(span: Span) -> Expr:
     """Stands for what was complained about already."""
-    return Thing(BAD, Rate.CONST, span, "?")
+    return ThingRef(BAD, Rate.CONST, span, "?")
 
 
 def rate_of(parts: Iterable[Expr | None]) -> Rate:
@@ -234,19 +234,19 @@ def type_from_words(words: str, of: str | None = None) -> Type | None:
 def attributes_of(declared: Declared, type: Type) -> dict[str, Type]:
     """The values of an item, agent or hit that can be read by name; for an agent of any species, those that every animal has."""
     if type.kind is Kind.HIT or (type.kind is Kind.ITEM and type.of == "hit"):
-        return _words(HIT_ATTRIBUTES)
+        return _types_by_name(HIT_ATTRIBUTES)
     if type.kind is Kind.ITEM:
         thing = declared.things.get(type.of or "")
         own = {a.name: a.type for a in thing.attributes} if thing else {}
-        return _words(ITEM_ATTRIBUTES) | own
+        return _types_by_name(ITEM_ATTRIBUTES) | own
     if type.kind is Kind.AGENT:
         names = declared.species.get(type.of or "")
-        builtin_types = _words({name: row.type for name, row in BUILTIN_ATTRIBUTES.items()})
+        builtin_types = _types_by_name({name: row.type for name, row in BUILTIN_ATTRIBUTES.items()})
         return builtin_types | (names.attributes if names else {})
     return {}
 
 
-def _words(table: Mapping[str, str]) -> dict[str, Type]:
+def _types_by_name(table: Mapping[str, str]) -> dict[str, Type]:
     return {name: word_type for name, words in table.items() if (word_type := type_from_words(words))}
 
 
@@ -256,16 +256,16 @@ def did_you_mean(word: str, candidates: Iterable[str], otherwise: str | None = N
     suggestion = nearest_name(word, known)
     if suggestion:
         return f"did you mean `{suggestion}`?"
-    return otherwise or (f"there is {listed(known)}" if known else "declare it, or leave this out")
+    return otherwise or (f"there is {list_names(known)}" if known else "declare it, or leave this out")
 
 
-def listed(names: Iterable[str], most: int = 12) -> str:
+def list_names(names: Iterable[str], most: int = 12) -> str:
     """`a`, `b`, `c` … for a help line."""
     names = sorted(names)
     return ", ".join(f"`{name}`" for name in names[:most]) + (", …" if len(names) > most else "")
 
 
-def duplicate(report: Report, what: str, name: nodes.Name, first: Span) -> None:
+def report_duplicate(report: Report, what: str, name: nodes.Name, first: Span) -> None:
     report.error(
         "duplicate-name", f"{what} `{name.text}` is declared twice", name.span, "give one of them another name, or delete it",
         labels=(Label(first, "first here"),),

@@ -13,21 +13,21 @@ from antdsl.syntax.words import QUANTITY
 _NAME = re.compile("[a-z_]+")
 
 
-def default_of(scope: Scope, text: str, span: Span) -> tuple[Expr, ...]:
+def default_values(scope: Scope, text: str, span: Span) -> tuple[Expr, ...]:
     """The value of a default, two for a range; `span` is the place that it stands for."""
-    return tuple(scope.typed(node_of(part.strip(), span)) for part in text.split(".."))
+    return tuple(scope.type_expression(parse_product(part.strip(), span)) for part in text.split(".."))
 
 
-def node_of(text: str, span: Span) -> nodes.Expr:
+def parse_product(text: str, span: Span) -> nodes.Expr:
     """Terms joined by `*` and `/` with blanks around them, from left to right."""
     words = re.split(r" ([*/]) ", text)
-    node = _term(words[0], span)
+    node = parse_term(words[0], span)
     for sign, term in zip(words[1::2], words[2::2], strict=True):
-        node = nodes.Binary(sign, node, _term(term, span), span, span)
+        node = nodes.Binary(sign, node, parse_term(term, span), span, span)
     return node
 
 
-def _term(text: str, span: Span) -> nodes.Expr:
+def parse_term(text: str, span: Span) -> nodes.Expr:
     if _NAME.fullmatch(text):
         return nodes.NameRef(nodes.Name(text, span), span)
     match = QUANTITY.fullmatch(text)

@@ -132,17 +132,17 @@ _ROWS = (
 EFFECTS: dict[str, Effect] = {row.op: row for row in _ROWS}
 
 
-def settled_in(phase: str) -> tuple[str, ...]:
+def effects_of_phase(phase: str) -> tuple[str, ...]:
     """The effects that a phase of a step settles, in the order of the table."""
     return tuple(row.op for row in EFFECTS.values() if row.phase == phase)
 
 
-def feeding(kind: str) -> frozenset[str]:
+def feeding_effects(kind: str) -> frozenset[str]:
     """Return the effects that add to the thing they name, a `field` or an `event`."""
     return frozenset(row.op for row in EFFECTS.values() if row.feeds and row.target == kind)
 
 
-def phrase(template: str, values: Mapping[str, str | None]) -> str:
+def fill_template(template: str, values: Mapping[str, str | None]) -> str:
     """A template with its values; a part in square brackets is left out where one of its values is None."""
 
     def part(match: re.Match[str]) -> str:

@@ -58,7 +58,7 @@ _LETTER = re.compile(r"\{([a-e])\}", re.IGNORECASE)
 _UNBRACKETED = (nodes.Number, nodes.Quantity, nodes.NameRef, nodes.Call, nodes.Member, nodes.Index)
 
 
-def instead_of_call(node: nodes.Call, word: str) -> tuple[str, bool] | None:
+def call_replacement(node: nodes.Call, word: str) -> tuple[str, bool] | None:
     """Return the replacement for a call of such a word, and whether it uses the arguments as in the source. If their number does
     not match, letters stand for them."""
     if word in NAMES and not node.arguments:

@@ -106,7 +106,7 @@ class Sense:
         return "".join(part.kind * part.size for part in self.results)
 
     @property
-    def spelled(self) -> str:
+    def results_text(self) -> str:
         """Return the results and their meaning, as in the plan's table."""
         if len(self.kinds) == 1:
             return self.meaning

@@ -8,7 +8,7 @@ _WITHIN, _WITH = Arg("within", "length", optional=True), Arg("with", "condition"
 _MOST = Arg("most", "number", optional=True)  # so many count, the nearest
 
 
-def _set(op: str, args: tuple[Arg, ...], help: str, result: str = "set") -> Builtin:
+def _set_builtin(op: str, args: tuple[Arg, ...], help: str, result: str = "set") -> Builtin:
     return Builtin(args, result, help, op)
 
 
@@ -16,7 +16,7 @@ _SET_ROWS = (
     SetSense(
         "neighbours",
         (
-            _set(
+            _set_builtin(
                 "neighbours",
                 (Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True), _MOST),
                 "others of the same species (or of another) near it and in its field of view",
@@ -29,8 +29,8 @@ _SET_ROWS = (
     SetSense(
         "all",
         (
-            _set("all", (Arg("of", "items"), _WITHIN, _WITH, _MOST), "items or agents"),
-            _set("all", (Arg("of", "species"), _WITHIN, _WITH, _MOST), "agents"),
+            _set_builtin("all", (Arg("of", "items"), _WITHIN, _WITH, _MOST), "items or agents"),
+            _set_builtin("all", (Arg("of", "species"), _WITHIN, _WITH, _MOST), "agents"),
         ),
         ("set.items", "set.every", "set.agents"),
         Cost(100, "all {thing}", within=0),
@@ -39,7 +39,7 @@ _SET_ROWS = (
     SetSense(
         "feelers",
         (
-            _set(
+            _set_builtin(
                 "feelers",
                 (Arg("on", "obstacle"), Arg("count", "count", "3"), Arg("spread", "angle", "35 deg"), Arg("reach", "length")),
                 "rays ahead along the velocity and turned about up, evenly out to `spread` on either side: the hits",
@@ -52,9 +52,9 @@ _SET_ROWS = (
     SetSense(
         "nearest",
         (
-            _set("nearest", (Arg("of", "items"), _WITHIN, _WITH), "the nearest, or none", "item"),
-            _set("nearest", (Arg("of", "species"), _WITHIN, _WITH), "the nearest, or none", "agent"),
-            _set("nearest", (Arg("of", "set"),), "the nearest of a set, or none", "any"),
+            _set_builtin("nearest", (Arg("of", "items"), _WITHIN, _WITH), "the nearest, or none", "item"),
+            _set_builtin("nearest", (Arg("of", "species"), _WITHIN, _WITH), "the nearest, or none", "agent"),
+            _set_builtin("nearest", (Arg("of", "set"),), "the nearest of a set, or none", "any"),
         ),
         (),  # the nearest of one of the sets above
         None,

@@ -23,11 +23,11 @@ class Measure:
     step: float
 
 
-def scaled(dim: Dim, power: float) -> Dim:
+def scale_dimension(dim: Dim, power: float) -> Dim:
     return Dim(dim.length * power, dim.time * power, dim.mass * power, dim.angle * power)
 
 
-def product(a: Dim, b: Dim, power: float = 1) -> Dim:
+def combine_dimensions(a: Dim, b: Dim, power: float = 1) -> Dim:
     """The dimension of `a * b ** power`."""
     return Dim(a.length + b.length * power, a.time + b.time * power, a.mass + b.mass * power, a.angle + b.angle * power)
 
@@ -42,7 +42,7 @@ def measure(unit: str) -> Measure | None:
             return None
         position = part.end()
         power = (-1 if part[1] == "/" else 1) * int(part[3] or 1)
-        dim = product(dim, known.dim, power)
+        dim = combine_dimensions(dim, known.dim, power)
         factor *= known.factor**power
         u += known.u * power
         step += known.step * power
@@ -78,7 +78,7 @@ _NAMES: dict[Dim, str] = {
 }
 
 
-def unit_of(dim: Dim) -> str:
+def default_unit(dim: Dim) -> str:
     """A unit one may write for a dimension: `mm`, `deg/s`, `/s`; empty for a plain number."""
     if dim == FORCE:
         return "uN"
@@ -98,7 +98,7 @@ def with_article(words: str) -> str:
 def dimension_words(dim: Dim) -> str:
     """`a length`, `a number without a unit`, `a value in mm*g`."""
     name = _NAMES.get(dim)
-    return with_article(name) if name else f"a value in `{unit_of(dim)}`"
+    return with_article(name) if name else f"a value in `{default_unit(dim)}`"
 
 
 def format_number(value: float) -> str:
@@ -108,7 +108,7 @@ def format_number(value: float) -> str:
 
 def with_unit(value: float, dim: Dim) -> str:
     """Return `30 mm` for 30 and a length: the author's number with a unit of the given dimension."""
-    unit = unit_of(dim)
+    unit = default_unit(dim)
     return f"{format_number(value)} {unit}".strip()
 
 

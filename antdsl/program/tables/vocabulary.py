@@ -112,7 +112,7 @@ ITEM_ATTRIBUTES: dict[str, str] = {"position": "position", "radius": "length"}
 HIT_ATTRIBUTES: dict[str, str] = {"distance": "length", "normal": "push", "position": "position"}
 
 
-def _f(
+def _builtin(
     op: str, args: list[Arg], result: str, help: str, interval: tuple[float, float] | None = None, draws: bool = False
 ) -> Builtin:
     return Builtin(tuple(args), result, help, op, interval=interval, draws=draws, cost=_DRAW if draws else None)
@@ -123,18 +123,20 @@ _DRAW = Cost(60, "{word}", "draws")
 
 # What is no sense: a function of its arguments, or a draw.
 _PLAIN: dict[str, tuple[Builtin, ...]] = {
-    "abs": (_f("abs", [Arg("x", "number A")], "number A", "without its sign"),),
-    "clamp": (_f("clamp", [Arg("x", "number A"), Arg("to", "range A")], "number A", "limited to a range"),),
-    "floor": (_f("floor", [Arg("x", "number")], "number", "the whole number below"),),
+    "abs": (_builtin("abs", [Arg("x", "number A")], "number A", "without its sign"),),
+    "clamp": (_builtin("clamp", [Arg("x", "number A"), Arg("to", "range A")], "number A", "limited to a range"),),
+    "floor": (_builtin("floor", [Arg("x", "number")], "number", "the whole number below"),),
     "sqrt": (
-        _f("sqrt", [Arg("x", "number A")], "number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE),
+        _builtin(
+            "sqrt", [Arg("x", "number A")], "number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE
+        ),
     ),
-    "sin": (_f("sin", [Arg("x", "angle")], "number", "sine", interval=(-1, 1)),),
-    "cos": (_f("cos", [Arg("x", "angle")], "number", "cosine", interval=(-1, 1)),),
-    "exp": (_f("exp", [Arg("x", "number")], "number", "e to the x", interval=senses.POSITIVE),),
-    "log": (_f("log", [Arg("x", "number")], "number", "natural logarithm"),),
+    "sin": (_builtin("sin", [Arg("x", "angle")], "number", "sine", interval=(-1, 1)),),
+    "cos": (_builtin("cos", [Arg("x", "angle")], "number", "cosine", interval=(-1, 1)),),
+    "exp": (_builtin("exp", [Arg("x", "number")], "number", "e to the x", interval=senses.POSITIVE),),
+    "log": (_builtin("log", [Arg("x", "number")], "number", "natural logarithm"),),
     "ramp": (
-        _f(
+        _builtin(
             "ramp",
             [Arg("x", "number A"), Arg("from", "range A"), Arg("to", "range B", "0 .. 1")],
             "number B",
@@ -142,17 +144,17 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
         ),
     ),
     "mix": (
-        _f("mix", [Arg("a", "number A"), Arg("b", "number A"), Arg("t", "number")], "number A", "a at t = 0, b at t = 1"),
-        _f("mix", [Arg("a", "vector A"), Arg("b", "vector A"), Arg("t", "number")], "vector A", "a at t = 0, b at t = 1"),
+        _builtin("mix", [Arg("a", "number A"), Arg("b", "number A"), Arg("t", "number")], "number A", "a at t = 0, b at t = 1"),
+        _builtin("mix", [Arg("a", "vector A"), Arg("b", "vector A"), Arg("t", "number")], "vector A", "a at t = 0, b at t = 1"),
     ),
-    "min": (_f("min", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the lesser"),),
-    "max": (_f("max", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the greater"),),
-    "length": (_f("length", [Arg("v", "vector A")], "number A", "how long a vector is", interval=senses.POSITIVE),),
-    "unit": (_f("unit", [Arg("v", "vector A")], "push", "the same way, length 1; nothing stays nothing"),),
-    "dot": (_f("dot", [Arg("a", "vector A"), Arg("b", "vector B")], "number A*B", "scalar product"),),
-    "cross": (_f("cross", [Arg("a", "vector A"), Arg("b", "vector B")], "vector A*B", "vector product"),),
+    "min": (_builtin("min", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the lesser"),),
+    "max": (_builtin("max", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the greater"),),
+    "length": (_builtin("length", [Arg("v", "vector A")], "number A", "how long a vector is", interval=senses.POSITIVE),),
+    "unit": (_builtin("unit", [Arg("v", "vector A")], "push", "the same way, length 1; nothing stays nothing"),),
+    "dot": (_builtin("dot", [Arg("a", "vector A"), Arg("b", "vector B")], "number A*B", "scalar product"),),
+    "cross": (_builtin("cross", [Arg("a", "vector A"), Arg("b", "vector B")], "vector A*B", "vector product"),),
     "angle": (
-        _f(
+        _builtin(
             "angle",
             [Arg("a", "vector A"), Arg("b", "vector B")],
             "angle",
@@ -161,21 +163,21 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
         ),
     ),
     "rotate": (
-        _f("rotate", [Arg("v", "vector A"), Arg("about", "push"), Arg("by", "angle")], "vector A", "turned about an axis"),
+        _builtin("rotate", [Arg("v", "vector A"), Arg("about", "push"), Arg("by", "angle")], "vector A", "turned about an axis"),
     ),
-    "project": (_f("project", [Arg("v", "vector A"), Arg("onto", "push")], "vector A", "the part of v along a direction"),),
-    "limit": (_f("limit", [Arg("v", "vector A"), Arg("max", "number A")], "vector A", "shortened to a length if longer"),),
+    "project": (_builtin("project", [Arg("v", "vector A"), Arg("onto", "push")], "vector A", "the part of v along a direction"),),
+    "limit": (_builtin("limit", [Arg("v", "vector A"), Arg("max", "number A")], "vector A", "shortened to a length if longer"),),
     "vector": (
-        _f(
+        _builtin(
             "vector",
             [Arg("x", "number A"), Arg("y", "number A"), Arg("z", "number A")],
             "vector A",
             "from three numbers, in the scene's axes",
         ),
     ),
-    "first": (_f("first", [Arg("a", "any A", variadic=True)], "any A", "the first that is not none"),),
+    "first": (_builtin("first", [Arg("a", "any A", variadic=True)], "any A", "the first that is not none"),),
     "uniform": (
-        _f(
+        _builtin(
             "uniform",
             [Arg("low", "number A"), Arg("high", "number A")],
             "number A",
@@ -184,7 +186,7 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
         ),
     ),
     "normal": (
-        _f(
+        _builtin(
             "normal",
             [Arg("mean", "number A"), Arg("deviation", "number A")],
             "number A",
@@ -192,10 +194,10 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
             draws=True,
         ),
     ),
-    "pick": (_f("pick", [Arg("a", "any A", variadic=True)], "any A", "one of these, evenly", draws=True),),
-    "random": (_f("random_agent", [Arg("of", "species")], "agent", "one living agent of a species, evenly", draws=True),),
+    "pick": (_builtin("pick", [Arg("a", "any A", variadic=True)], "any A", "one of these, evenly", draws=True),),
+    "random": (_builtin("random_agent", [Arg("of", "species")], "agent", "one living agent of a species, evenly", draws=True),),
     "rising": (
-        _f(
+        _builtin(
             "rising",
             [Arg("x", "number A"), Arg("over", "range A")],
             "number",
@@ -204,7 +206,7 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
         ),
     ),
     "falling": (
-        _f(
+        _builtin(
             "falling",
             [Arg("x", "number A"), Arg("over", "range A")],
             "number",
@@ -213,7 +215,7 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
         ),
     ),
     "around": (
-        _f(
+        _builtin(
             "around",
             [Arg("x", "number A"), Arg("over", "range A")],
             "number",
@@ -224,7 +226,7 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
 }
 
 
-def _with_senses(plain: dict[str, tuple[Builtin, ...]]) -> dict[str, tuple[Builtin, ...]]:
+def _add_senses(plain: dict[str, tuple[Builtin, ...]]) -> dict[str, tuple[Builtin, ...]]:
     operations = dict(plain)
     for row in senses.find_words("call"):
         operations[row.name] = (*operations.get(row.name, ()), row)
@@ -232,7 +234,7 @@ def _with_senses(plain: dict[str, tuple[Builtin, ...]]) -> dict[str, tuple[Built
 
 
 # Called as functions. Names with several rows are distinguished by the first argument's type; the first row that fits wins.
-BUILTINS: dict[str, tuple[Builtin, ...]] = _with_senses(_PLAIN)
+BUILTINS: dict[str, tuple[Builtin, ...]] = _add_senses(_PLAIN)
 
 # Senses as other tools and everyday words call them, and what to write here instead.
 _OTHER_SENSES = (

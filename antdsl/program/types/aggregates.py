@@ -7,18 +7,28 @@ from collections.abc import Callable, Container
 from dataclasses import replace
 from typing import cast
 
-from antdsl.program.expectations import GEOMETRY, MOTION, Aggregate, AtStart, Bodily, CellValue, Measured, Other
-from antdsl.program.model import Binding, Dim, Expr, Kind, Local, ParamRef, Rate, Reduce, Thing, Type
-from antdsl.program.names.scope import BOOL, NUMBER, Declared, Scope, attributes_of, bad, did_you_mean, listed, type_from_words
+from antdsl.program.expectations import GEOMETRY, MOTION, Aggregate, AtStart, BodyMeasure, CellValue, MotionMeasure, OtherRun
+from antdsl.program.model import Binding, BindingRef, Dim, Expr, Kind, ParamRef, Rate, Reduce, ThingRef, Type
+from antdsl.program.names.scope import (
+    BOOL,
+    NUMBER,
+    Declared,
+    Scope,
+    attributes_of,
+    bad_expression,
+    did_you_mean,
+    list_names,
+    type_from_words,
+)
 from antdsl.program.tables.set_senses import GIVES_SET
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, SENSED_NAMES
-from antdsl.program.traverse import written
+from antdsl.program.traverse import written_nodes
 from antdsl.program.types import calls, expressions, operators
-from antdsl.program.types.arguments import type_all
-from antdsl.program.types.descriptions import quoted, type_words
-from antdsl.program.types.expressions import Known
+from antdsl.program.types.arguments import type_arguments
+from antdsl.program.types.descriptions import quote_source, type_words
+from antdsl.program.types.expressions import TypedArgument
 from antdsl.program.types.operators import condition, value
-from antdsl.program.types.sets import body_of
+from antdsl.program.types.sets import reduction_body
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -36,7 +46,7 @@ class SpecRules:
         self.plain = declared.rules
         self.compared: dict[str, Callable[..., Expr]] = {"at_start": self._at_start}
         if compares:
-            self.compared["other"] = self._in_other
+            self.compared["other"] = self._other_run
         self.inside = False  # a `total(…)` or its like
         self.cells = ""  # the field with those cells
         self.other: Expr | None = None  # the other side of the comparison that `at_start` or `other` stands in
@@ -59,10 +69,10 @@ class SpecRules:
                 node.span,
                 f"write `total(food.load) == {name}`, or `{name}(total(food.load))`",
             )
-            return bad(node.span)
+            return bad_expression(node.span)
         species = scope.species
         if name in GEOMETRY and species is not None and name not in {*species.attributes, *species.params, *species.bindings}:
-            return Bodily(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
+            return BodyMeasure(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
         return expressions.name_of(scope, node, want)
 
     def _at_start(self, scope: Scope, expr: Expr, span: Span) -> Expr:
@@ -73,27 +83,27 @@ class SpecRules:
                 span,
                 "write `at_start(total(food.load))`",
             )
-            return bad(span)
+            return bad_expression(span)
         if expr.type.kind is Kind.BAD:
-            return bad(span)
+            return bad_expression(span)
         if expr.type.kind is not Kind.NUMBER:
             scope.report.error(
                 "wrong-kind", f"`at_start` is for numbers, and this is {type_words(expr.type)}", span, "compare numbers"
             )
-            return bad(span)
+            return bad_expression(span)
         return AtStart(expr.type, expr.rate, span, expr)
 
-    def _in_other(self, scope: Scope, expr: Expr, span: Span) -> Expr:
+    def _other_run(self, scope: Scope, expr: Expr, span: Span) -> Expr:
         """Return the value of a number about the whole in the reference run."""
         if expr.type.kind is Kind.BAD:
-            return bad(span)
+            return bad_expression(span)
         if self.inside or scope.species is not None or expr.type.kind is not Kind.NUMBER or expr.rate > Rate.STEP:
             scope.report.error(
                 "wrong-rate", "`other` is a number of the whole in another run, where no agent is named", span,
                 "write it in a line of the spec itself: `always: total(nest.load) >= other`",
             )  # fmt: skip
-            return bad(span)
-        return Other(expr.type, Rate.STEP, span, expr)
+            return bad_expression(span)
+        return OtherRun(expr.type, Rate.STEP, span, expr)
 
     def _member(self, scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
         owner, name = node.owner, node.name.text
@@ -105,25 +115,25 @@ class SpecRules:
             self_there = scope.locals.get(owner.name.text)
             species = scope.declared.species.get(owner.name.text)
             if (
-                isinstance(self_there, Thing)
+                isinstance(self_there, ThingRef)
                 and species is not None
                 and name in species.params
                 and name not in species.attributes
             ):
-                scope.use("param", f"{species.name}.{name}")
+                scope.mark_used("param", f"{species.name}.{name}")
                 scope.bind(owner.span, "species", species.name)
                 scope.bind(node.name.span, "own", species.name, name)
                 return ParamRef(species.params[name], Rate.RUN, node.span, f"{species.name}.{name}")
             bodily = species is not None and name in GEOMETRY and name not in {*species.attributes, *species.params}
-            if bodily and isinstance(self_there, Thing):
+            if bodily and isinstance(self_there, ThingRef):
                 scope.bind(owner.span, "species", owner.name.text)
-                return Bodily(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
-            if self._one_of_many(scope, owner.name.text, node):
-                return bad(node.span)
+                return BodyMeasure(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
+            if self._reports_unnamed_agent(scope, owner.name.text, node):
+                return bad_expression(node.span)
         return expressions.member_of(scope, node, want)
 
     def _cell(self, scope: Scope, node: nodes.Member, field: str) -> Expr:
-        scope.use("field", field)
+        scope.mark_used("field", field)
         scope.bind(node.owner.span, "field", field)
         if self.cells == field:
             return CellValue(NUMBER, Rate.ELEMENT, node.span, field)
@@ -131,11 +141,11 @@ class SpecRules:
             "wrong-rate", f"`{field}.value` needs a cell", node.span,
             f"ask of all: `max({field}.value)`, `share({field}.value > 0)`; where an agent stands it is `{field}` alone",
         )  # fmt: skip
-        return bad(node.span)
+        return bad_expression(node.span)
 
-    def _one_of_many(self, scope: Scope, owner: str, node: nodes.Member) -> bool:
+    def _reports_unnamed_agent(self, scope: Scope, owner: str, node: nodes.Member) -> bool:
         """Return whether `forager.load` names no single forager; report an error then."""
-        kind, name = _things(scope.declared, owner), node.name.text
+        kind, name = _thing_kind(scope.declared, owner), node.name.text
         type = Type(Kind.AGENT if kind is Kind.SPECIES else Kind.ITEM, of=owner)
         params = scope.declared.species[owner].params if kind is Kind.SPECIES else {}
         known = kind is not None and name in {*attributes_of(scope.declared, type), *(GEOMETRY if kind is Kind.SPECIES else ())}
@@ -159,20 +169,20 @@ class SpecRules:
                 "unknown-name",
                 f"`motion` has no `{node.name.text}`",
                 node.name.span,
-                did_you_mean(node.name.text, MOTION, f"there is {listed(MOTION)}"),
+                did_you_mean(node.name.text, MOTION, f"there is {list_names(MOTION)}"),
             )
-            return bad(node.span)
-        return Measured(type_from_words(words) or NUMBER, Rate.STEP, node.span, node.name.text)
+            return bad_expression(node.span)
+        return MotionMeasure(type_from_words(words) or NUMBER, Rate.STEP, node.span, node.name.text)
 
     # --- the other side of a comparison ------------------------------------------------------------------------------
 
     def _binary(self, scope: Scope, node: nodes.Binary, want: Type | None) -> Expr:
-        sides = [_says(side, self.compared) for side in (node.left, node.right)]
+        sides = [_uses_word(side, self.compared) for side in (node.left, node.right)]
         if node.op not in _COMPARED or sides[0] == sides[1]:
             return operators.binary(scope, node, want)
         other = node.right if sides[0] else node.left
         expr = value(scope, other)
-        known = cast(nodes.Expr, Known(expr, other.span))
+        known = cast(nodes.Expr, TypedArgument(expr, other.span))
         left, right = (node.left, known) if sides[0] else (known, node.right)
         outer, self.other = self.other, expr
         try:
@@ -187,129 +197,134 @@ class SpecRules:
         first = node.arguments[0] if len(node.arguments) == 1 else None
         if name in self.compared:
             if not isinstance(first, nodes.Argument) or first.name is not None:
-                return self._wants_one(scope, node, name)
+                return self._report_argument_count(scope, node, name)
             return self.compared[name](scope, value(scope, first.value), node.span)
         if name in WHOLES and isinstance(first, nodes.Argument) and first.name is None and not _is_set(scope, first.value):
             return self._aggregate(scope, node, name, first.value)
         if name in ("total", "share"):
-            return self._wants_one(scope, node, name)
+            return self._report_argument_count(scope, node, name)
         expr = calls.call(scope, node, want)
         if isinstance(expr, Reduce) and scope.species is None and not scope.sets:
-            return self._of_set(scope, expr)
+            return self._set_aggregate(scope, expr)
         return expr
 
     @staticmethod
-    def _wants_one(scope: Scope, node: nodes.Call, name: str) -> Expr:
+    def _report_argument_count(scope: Scope, node: nodes.Call, name: str) -> Expr:
         call_sample = f"{name}(total(food.load))" if name in ("at_start", "other") else f"{name}(food.load)"
         sample = "share(state == carry)" if name == "share" else call_sample
         scope.report.error("wrong-argument", f"`{name}` wants one thing to ask of all", node.span, f"write `{sample}`")
-        type_all(scope, node)
-        return bad(node.span)
+        type_arguments(scope, node)
+        return bad_expression(node.span)
 
-    def _nested(self, scope: Scope, span: Span) -> bool:
+    def _reports_nesting(self, scope: Scope, span: Span) -> bool:
         if self.inside:
             scope.report.error(
-                "set-in-set", f"{quoted(span)} stands inside an expression for each agent", span, "ask the one beside the other"
+                "set-in-set",
+                f"{quote_source(span)} stands inside an expression for each agent",
+                span,
+                "ask the one beside the other",
             )
         return self.inside
 
     def _aggregate(self, scope: Scope, node: nodes.Call, name: str, operand: nodes.Expr) -> Expr:
-        if self._nested(scope, node.span):
-            return bad(node.span)
+        if self._reports_nesting(scope, node.span):
+            return bad_expression(node.span)
         bare = operand.name.text if isinstance(operand, nodes.NameRef) else ""
         how = "total" if name == "sum" else name
-        field = _cells_of(scope.declared, operand)
+        field = _cell_field(scope.declared, operand)
         if field:
             if name not in _TRUTHS and not (isinstance(operand, nodes.Member) and operand.name.text == "value"):
-                return self._no_sum(scope, node, field)
+                return self._report_no_sum(scope, node, field)
             bare = bare if name in _TRUTHS else field
         if bare in scope.declared.fields and name in (*_OF_CELLS, "count"):
-            scope.use("field", bare)
+            scope.mark_used("field", bare)
             scope.bind(operand.owner.span if isinstance(operand, nodes.Member) else operand.span, "field", bare)
             return Aggregate(NUMBER, Rate.STEP, node.span, how, Type(Kind.FIELD, of=bare), (), None, None)
         solid = scope.declared.things.get(bare)
         if solid is not None and solid.kind == "solid" and name == "total":
-            scope.use("thing", bare)
+            scope.mark_used("thing", bare)
             scope.bind(operand.span, "thing", bare)
             return Aggregate(_VOLUME, Rate.STEP, node.span, how, Type(Kind.SOLID, of=bare), (), None, None)
         over = Type(Kind.FIELD, of=field) if field else _subject(scope, node, operand)
         if over is None:
-            return bad(node.span)
-        inner, elements = (scope.inside(species=None), ()) if field else _one_of(scope, over, node.span)
+            return bad_expression(node.span)
+        inner, elements = (scope.with_changes(species=None), ()) if field else _element_scope(scope, over, node.span)
         if isinstance(operand, nodes.NameRef) and bare == over.of:
             scope.bind_thing(operand.name)
         self.cells = field
         body: Expr | None = None
         if not (name in ("count", "any") and bare == over.of):
             if bare == over.of:
-                return self._no_value(scope, node, bare)
+                return self._report_no_value(scope, node, bare)
             self.inside = True
-            body = condition(inner, operand, f"`{name}`") if name in _TRUTHS else body_of(inner, name, operand)
+            body = condition(inner, operand, f"`{name}`") if name in _TRUTHS else reduction_body(inner, name, operand)
             self.inside, self.cells = False, ""
             if body.type.kind is Kind.BAD:
-                return bad(node.span)
+                return bad_expression(node.span)
             if body.type.kind is Kind.VECTOR:
-                return self._no_vector(scope, node, operand)
-        return Aggregate(_result(how, body), Rate.STEP, node.span, how, over, elements, None, body)
+                return self._report_vector(scope, node, operand)
+        return Aggregate(_result_type(how, body), Rate.STEP, node.span, how, over, elements, None, body)
 
     @staticmethod
-    def _no_sum(scope: Scope, node: nodes.Call, field: str) -> Expr:
-        words = f"{quoted(node.span)} works something out for each cell of `{field}`"
+    def _report_no_sum(scope: Scope, node: nodes.Call, field: str) -> Expr:
+        words = f"{quote_source(node.span)} works something out for each cell of `{field}`"
         known = f"write `{node.function.span.text}({field}.value)`, or `count({field}.value > 0)` and the like"
         scope.report.error("wrong-argument", words, node.span, known)
-        return bad(node.span)
+        return bad_expression(node.span)
 
     @staticmethod
-    def _no_value(scope: Scope, node: nodes.Call, who: str) -> Expr:
+    def _report_no_value(scope: Scope, node: nodes.Call, who: str) -> Expr:
         value = f"{who}.{'size' if who in scope.declared.species else 'radius'}"
         scope.report.error(
-            "wrong-argument", f"{quoted(node.span)} does not say which value of `{who}`", node.span,
+            "wrong-argument", f"{quote_source(node.span)} does not say which value of `{who}`", node.span,
             f"name one, such as `{value}`, or write `count({who})` for how many there are",
         )  # fmt: skip
-        return bad(node.span)
+        return bad_expression(node.span)
 
     @staticmethod
-    def _no_vector(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Expr:
+    def _report_vector(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Expr:
         text = " ".join(operand.span.text.split())
         scope.report.error(
             "wrong-kind",
-            f"{quoted(node.span)} would be a vector, and a spec bounds numbers",
+            f"{quote_source(node.span)} would be a vector, and a spec bounds numbers",
             operand.span,
             f"write `length({text})`",
         )
-        return bad(node.span)
+        return bad_expression(node.span)
 
-    def _of_set(self, scope: Scope, reduction: Reduce) -> Expr:
+    def _set_aggregate(self, scope: Scope, reduction: Reduce) -> Expr:
         """Type `count(n in forager: n.load > 0)`: a set of all is a whole; anything nearer needs an agent as its owner."""
         over = reduction.over
-        if self._nested(scope, reduction.span):
-            return bad(reduction.span)
+        if self._reports_nesting(scope, reduction.span):
+            return bad_expression(reduction.span)
         is_complete_set = over.source == "all" and all(arg is None for arg in over.args)
         if not is_complete_set or reduction.how in ("best", "nearest") or reduction.type.kind not in (Kind.NUMBER, Kind.BOOL):
             scope.report.error(
                 "wrong-rate",
-                f"{quoted(reduction.span)} needs an agent, but none is named",
+                f"{quote_source(reduction.span)} needs an agent, but none is named",
                 reduction.span,
                 "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all",
             )
-            return bad(reduction.span)
+            return bad_expression(reduction.span)
         kind = Kind.ITEMS if over.element.type.kind is Kind.ITEM else Kind.SPECIES
         body = reduction.body if reduction.how != "count" or reduction.body is None or reduction.body.rate > Rate.CONST else None
         how = "total" if reduction.how == "sum" else reduction.how
         elements = (reduction.element, over.element)
-        return Aggregate(_result(how, body), Rate.STEP, reduction.span, how, Type(kind, of=over.of), elements, over.where, body)
+        return Aggregate(
+            _result_type(how, body), Rate.STEP, reduction.span, how, Type(kind, of=over.of), elements, over.where, body
+        )
 
 
-def _result(how: str, body: Expr | None) -> Type:
+def _result_type(how: str, body: Expr | None) -> Type:
     if how in ("any", "every"):
         return BOOL
     return NUMBER if body is None or how in ("share", "count") else body.type
 
 
-def _says(root: nodes.Expr, words: Container[str]) -> bool:
+def _uses_word(root: nodes.Expr, words: Container[str]) -> bool:
     """Return whether a word such as `at_start` is in the expression alone, and not as `at_start(…)`."""
-    called = {id(part.function) for part, _ in written(root) if isinstance(part, nodes.Call)}
-    return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in written(root))
+    called = {id(part.function) for part, _ in written_nodes(root) if isinstance(part, nodes.Call)}
+    return any(isinstance(p, nodes.NameRef) and p.name.text in words and id(p) not in called for p, _ in written_nodes(root))
 
 
 def _is_set(scope: Scope, node: nodes.Expr) -> bool:
@@ -321,9 +336,9 @@ def _is_set(scope: Scope, node: nodes.Expr) -> bool:
     return binding is not None and binding.type.kind is Kind.SET
 
 
-def _cells_of(declared: Declared, operand: nodes.Expr) -> str:
+def _cell_field(declared: Declared, operand: nodes.Expr) -> str:
     """Return the field with the cells that a question is about, `trail.value > 0.1`; empty if it is about none."""
-    members = [part for part, _ in written(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
+    members = [part for part, _ in written_nodes(operand) if isinstance(part, nodes.Member) and part.name.text == "value"]
     owners = [part.owner.name.text for part in members if isinstance(part.owner, nodes.NameRef)]
     return next((name for name in owners if name in declared.fields), "")
 
@@ -335,24 +350,27 @@ def _subject(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Type | None
     """Return the species or items that a question is about: those with a value that it names, else the only ones with such
     values."""
     declared = scope.declared
-    owners = [part.owner for part, _ in written(operand) if isinstance(part, nodes.Member)]
+    owners = [part.owner for part, _ in written_nodes(operand) if isinstance(part, nodes.Member)]
     named = [owner.name.text for owner in (*owners, operand) if isinstance(owner, nodes.NameRef)]
-    things = [name for name in dict.fromkeys(named) if _things(declared, name) is not None]
+    things = [name for name in dict.fromkeys(named) if _thing_kind(declared, name) is not None]
     if len(things) == 1:
-        kind = _things(declared, things[0])
+        kind = _thing_kind(declared, things[0])
         assert kind is not None
-        scope.use("species" if kind is Kind.SPECIES else "thing", things[0])
+        scope.mark_used("species" if kind is Kind.SPECIES else "thing", things[0])
         return Type(kind, of=things[0])
     if len(things) > 1:
         parts = " and ".join(f"`{name}`" for name in things)
         scope.report.error(
-            "wrong-argument", f"{quoted(node.span)} asks of {parts} at once", node.span, "ask of each one separately, and add up"
+            "wrong-argument",
+            f"{quote_source(node.span)} asks of {parts} at once",
+            node.span,
+            "ask of each one separately, and add up",
         )
         return None
     if scope.species is not None:
         return Type(Kind.SPECIES, of=scope.species.name)
     written_here = [name for name, species in declared.species.items() if species.node is not None]
-    able = written_here if len(written_here) == 1 else [name for name in written_here if _knows(declared, name, operand)]
+    able = written_here if len(written_here) == 1 else [name for name in written_here if _has_values(declared, name, operand)]
     if len(able) == 1:
         return Type(Kind.SPECIES, of=able[0])
     text, names = " ".join(operand.span.text.split()), sorted(able or declared.species)
@@ -361,35 +379,35 @@ def _subject(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Type | None
         advice = f"name the species: `{node.function.span.text}({name}.{text})`"
     else:  # a sense has no owner to name
         advice = f"name the species: `count(a in {name}: {text})`, or ask in `each {name} {{ … }}`"
-    scope.report.error("wrong-argument", f"{quoted(node.span)} does not say of which agents", node.span, advice)
+    scope.report.error("wrong-argument", f"{quote_source(node.span)} does not say of which agents", node.span, advice)
     return None
 
 
-def _things(declared: Declared, name: str) -> Kind | None:
+def _thing_kind(declared: Declared, name: str) -> Kind | None:
     if name in declared.species:
         return Kind.SPECIES
     thing = declared.things.get(name)
     return Kind.ITEMS if thing is not None and thing.kind == "items" else None
 
 
-def _knows(declared: Declared, species: str, operand: nodes.Expr) -> bool:
+def _has_values(declared: Declared, species: str, operand: nodes.Expr) -> bool:
     """Return whether a species has every value that is named bare, judged by names alone."""
     names = declared.species[species]
     states = {state for machine in names.machines.values() for state in machine.states}
     mine = {*names.attributes, *names.params, *names.bindings, *names.pending, *names.machines, *states, *BUILTIN_ATTRIBUTES}
     everywhere = {*declared.things, *declared.fields, *declared.species, *declared.events, "state", "previous", "next"}
     everywhere |= {*GEOMETRY, "time_in_state", "time", "frame", "dt", "true", "false", *SENSED_NAMES, "self"}
-    called = {id(part.function) for part, _ in written(operand) if isinstance(part, nodes.Call)}
-    bare = {p.name.text for p, _ in written(operand) if isinstance(p, nodes.NameRef) and id(p) not in called}
+    called = {id(part.function) for part, _ in written_nodes(operand) if isinstance(part, nodes.Call)}
+    bare = {p.name.text for p, _ in written_nodes(operand) if isinstance(p, nodes.NameRef) and id(p) not in called}
     return bare <= mine | everywhere
 
 
-def _one_of(scope: Scope, over: Type, span: Span) -> tuple[Scope, tuple[Binding, ...]]:
+def _element_scope(scope: Scope, over: Type, span: Span) -> tuple[Scope, tuple[Binding, ...]]:
     """Return the scope in which one of them is evaluated, and the name that stands for it if it is an item."""
     name = over.of or ""
     if over.kind is Kind.SPECIES:
-        who = Thing(Type(Kind.AGENT, of=name), Rate.AGENT, span, "self")
-        return scope.inside(species=scope.declared.species[name], machine=None, locals={**scope.locals, name: who}), ()
+        who = ThingRef(Type(Kind.AGENT, of=name), Rate.AGENT, span, "self")
+        return scope.with_changes(species=scope.declared.species[name], machine=None, locals={**scope.locals, name: who}), ()
     element = Binding(name, "element", Type(Kind.ITEM, Dim(), name), Rate.ELEMENT, span)
-    element_value = Local(element.type, Rate.ELEMENT, span, element)
-    return scope.inside(species=None, element=element, locals={**scope.locals, name: element_value}), (element,)
+    element_value = BindingRef(element.type, Rate.ELEMENT, span, element)
+    return scope.with_changes(species=None, element=element, locals={**scope.locals, name: element_value}), (element,)

@@ -10,11 +10,11 @@ from itertools import pairwise
 from antdsl.diagnostics import Fix, Label
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
-from antdsl.program.names.scope import Scope, bad, listed
-from antdsl.program.types.descriptions import mismatch, quoted
+from antdsl.program.names.scope import Scope, bad_expression, list_names
+from antdsl.program.types.descriptions import quote_source, report_mismatch
 from antdsl.source import Span
 from antdsl.syntax import nodes
-from antdsl.syntax.mistakes.number_slips import comma_in_number, number_with_comma
+from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number
 
 PLACE_KINDS = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.CURVE, Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.PLACE})
 Called = nodes.Call | nodes.Ask
@@ -31,7 +31,7 @@ class Slot:
     range: bool = False
 
 
-def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, form: str = "") -> ArgumentsBySlot | None:
+def arrange_arguments(scope: Scope, called: str, slots: Sequence[Slot], node: Called, form: str = "") -> ArgumentsBySlot | None:
     """Return the arguments by slot; None after an error that makes the call unusable. `form`: the text of the call up to its
     bracket, if that is not `called`."""
     form = form or called
@@ -47,42 +47,44 @@ def arranged(scope: Scope, called: str, slots: Sequence[Slot], node: Called, for
     arguments = [each for each in node.arguments if isinstance(each, nodes.Argument)]
     comma = _decimal_comma(slots, arguments)
     if comma is not None:
-        scope.report.add(comma_in_number(comma, only=not _sound(slots, _argument_forms(arguments))))
+        scope.report.add(comma_diagnostic(comma, only=not _is_valid_count(slots, _argument_forms(arguments))))
         return None
     arguments_by_slot: ArgumentsBySlot = {}
     names, position, sound = [slot.name for slot in slots], 0, True
     late: list[tuple[nodes.Argument, str]] = []  # without a name, behind one that has a name
     for number, argument in enumerate(arguments):
         if argument.name is not None:
-            sound = _named(scope, called, names, arguments_by_slot, argument) and sound
+            sound = _add_named(scope, called, names, arguments_by_slot, argument) and sound
             continue
         while position < len(slots) and slots[position].name in arguments_by_slot and not slots[position].variadic:
             position += 1
         if position >= len(slots):
-            advice, fix = _as_range(slots, arguments) or (f"write `{_shape(form, slots)}`", None)
-            scope.report.error("wrong-arity", f"`{called}` takes {_how_many(slots)}", argument.span, advice, fix=fix)
+            advice, fix = _range_fix(slots, arguments) or (f"write `{_call_text(form, slots)}`", None)
+            scope.report.error("wrong-arity", f"`{called}` takes {_count_text(slots)}", argument.span, advice, fix=fix)
             return None
         arguments_by_slot.setdefault(slots[position].name, []).append(argument)
         if any(each.name is not None for each in arguments[:number]):
             late.append((argument, slots[position].name))
         position += 0 if slots[position].variadic else 1
     if late and sound:
-        _late(scope, next(each.name for each in arguments if each.name is not None), late)
+        _report_late_positions(scope, next(each.name for each in arguments if each.name is not None), late)
         return None
     missing = [slot.name for slot in slots if slot.required and slot.name not in arguments_by_slot]
     if missing and sound:
-        scope.report.error("missing-argument", f"`{called}` wants {listed(missing)}", node.span, f"write `{_shape(form, slots)}`")
+        scope.report.error(
+            "missing-argument", f"`{called}` wants {list_names(missing)}", node.span, f"write `{_call_text(form, slots)}`"
+        )
     return None if missing or not sound else arguments_by_slot
 
 
-def _named(
+def _add_named(
     scope: Scope, called: str, names: list[str], arguments_by_slot: dict[str, list[nodes.Argument]], argument: nodes.Argument
 ) -> bool:
     name = argument.name
     assert name is not None
     if name.text not in names:
         near = nearest_name(name.text, names)
-        advice = f"did you mean `{near}`?" if near else f"it takes {listed(names)}" if names else "it takes none"
+        advice = f"did you mean `{near}`?" if near else f"it takes {list_names(names)}" if names else "it takes none"
         span = Span(name.span.source, name.span.start, name.span.start + len(name.text))
         scope.report.error(
             "unknown-argument",
@@ -106,32 +108,32 @@ def _named(
     return True
 
 
-def _how_many(slots: Sequence[Slot]) -> str:
+def _count_text(slots: Sequence[Slot]) -> str:
     most = len(slots)
     return "no arguments" if most == 0 else "one argument" if most == 1 else f"at most {most} arguments"
 
 
-def _shape(called: str, slots: Sequence[Slot]) -> str:
+def _call_text(called: str, slots: Sequence[Slot]) -> str:
     return f"{called}({', '.join(slot.name if slot.required else slot.name + ': …' for slot in slots)})"
 
 
-def type_all(scope: Scope, node: Called) -> None:
+def type_arguments(scope: Scope, node: Called) -> None:
     """Type the arguments of a call that makes no sense, so that what they use counts as used and their own mistakes are
     reported."""
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
-            scope.typed(argument.over)
+            scope.type_expression(argument.over)
         elif isinstance(argument.value, nodes.RangeExpr):
-            scope.typed(argument.value.low)
-            scope.typed(argument.value.high)
+            scope.type_expression(argument.value.low)
+            scope.type_expression(argument.value.high)
         else:
             known = len(scope.declared.bound)
-            scope.typed(argument.value)
+            scope.type_expression(argument.value)
             if argument.name is not None and argument.name.text == "with":
                 del scope.declared.bound[known:]  # its names may be those of what is looked for
 
 
-def _late(scope: Scope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
+def _report_late_positions(scope: Scope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, str]]) -> None:
     """Report arguments by place after `first`, an argument with a name. The fix adds the names for their places."""
     span = Span(late[0][0].span.source, late[0][0].span.start, late[-1][0].span.end)
     text, copied_end = "", span.start
@@ -141,7 +143,7 @@ def _late(scope: Scope, first: nodes.Name, late: Sequence[tuple[nodes.Argument, 
     text += span.source.text[copied_end : span.end]
     scope.report.error(
         "argument-order",
-        f"{quoted(late[0][0].span)} has no name and stands behind `{first.text}:`, which has one",
+        f"{quote_source(late[0][0].span)} has no name and stands behind `{first.text}:`, which has one",
         late[0][0].span,
         f"say which it is: `{' '.join(text.split())}`, or write it before the first with a name",
         fix=Fix(span, text),
@@ -158,7 +160,7 @@ def _decimal_comma(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -
         span = None
         if following.span.start == argument.span.end + 1:
             tight += 1
-            span = number_with_comma(argument.span.source, argument.span.end)
+            span = find_comma_number(argument.span.source, argument.span.end)
         if span is not None and not is_second_half:
             joints[number] = span
         is_second_half = number in joints and isinstance(following.value, (nodes.Number, nodes.Quantity))
@@ -171,8 +173,8 @@ def _decimal_comma(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -
         else:
             merged.append([argument])
     one = [_ArgumentForm(pieces[0].name, any(isinstance(each.value, nodes.RangeExpr) for each in pieces)) for pieces in merged]
-    in_a_row = tight > 1 and tight == len(arguments) - 1 and _sound(slots, _argument_forms(arguments))
-    return joints[min(joints)] if _sound(slots, _paired(slots, one), least=2) and not in_a_row else None
+    in_a_row = tight > 1 and tight == len(arguments) - 1 and _is_valid_count(slots, _argument_forms(arguments))
+    return joints[min(joints)] if _is_valid_count(slots, _merge_range_pairs(slots, one), least=2) and not in_a_row else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +189,7 @@ def _argument_forms(arguments: Sequence[nodes.Argument]) -> list[_ArgumentForm]:
     return [_ArgumentForm(each.name, isinstance(each.value, nodes.RangeExpr)) for each in arguments]
 
 
-def _paired(slots: Sequence[Slot], forms: Sequence[_ArgumentForm]) -> list[_ArgumentForm] | None:
+def _merge_range_pairs(slots: Sequence[Slot], forms: Sequence[_ArgumentForm]) -> list[_ArgumentForm] | None:
     """Return the arguments with two values by place, where a range is expected, as that range; None if a value has no second
     one."""
     paired: list[_ArgumentForm] = []
@@ -203,17 +205,17 @@ def _paired(slots: Sequence[Slot], forms: Sequence[_ArgumentForm]) -> list[_Argu
     return paired
 
 
-def _as_range(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
+def _range_fix(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> tuple[str, Fix] | None:
     """Return what to write for two values where a range is expected, if there is nothing else wrong with how many there are."""
     place = next((n for n, slot in enumerate(slots) if slot.range), len(arguments))
-    if place + 1 >= len(arguments) or not _sound(slots, _paired(slots, _argument_forms(arguments))):
+    if place + 1 >= len(arguments) or not _is_valid_count(slots, _merge_range_pairs(slots, _argument_forms(arguments))):
         return None
     low, high = arguments[place : place + 2]
     text = f"{' '.join(low.span.text.split())} .. {' '.join(high.span.text.split())}"
     return f"write the two ends as a range: `{text}`", Fix(Span(low.span.source, low.span.start, high.span.end), text)
 
 
-def _sound(slots: Sequence[Slot], forms: Sequence[_ArgumentForm] | None, least: int = 1) -> bool:
+def _is_valid_count(slots: Sequence[Slot], forms: Sequence[_ArgumentForm] | None, least: int = 1) -> bool:
     """Return whether the arguments, by place and by name, match the slots. `least`: the minimum number for a variadic call."""
     if forms is None:
         return False
@@ -239,23 +241,23 @@ def _sound(slots: Sequence[Slot], forms: Sequence[_ArgumentForm] | None, least: 
 
 def place(scope: Scope, node: nodes.Expr, who: str) -> Expr:
     """An expression as a place."""
-    expr = scope.typed(node, Type(Kind.PLACE))
+    expr = scope.type_expression(node, Type(Kind.PLACE))
     if expr.type.kind in PLACE_KINDS or expr.type.kind is Kind.BAD or expr.type == Type(Kind.VECTOR, Dim(length=1)):
         return expr
     if expr.type.kind in (Kind.ITEMS, Kind.SPECIES):
         return nearest_of(expr, node.span)
-    mismatch(scope.report, node, expr.type, Type(Kind.PLACE), who)
-    return bad(node.span)
+    report_mismatch(scope.report, node, expr.type, Type(Kind.PLACE), who)
+    return bad_expression(node.span)
 
 
-def one_of(things: Type) -> Type:
+def element_type(things: Type) -> Type:
     """The type of one element of all items of a name, or of a species."""
     return Type(Kind.ITEM if things.kind is Kind.ITEMS else Kind.AGENT, Dim(), things.of)
 
 
 def nearest_of(things: Expr, span: Span) -> Reduce:
     """The nearest of all items of a name, or of a species."""
-    type = one_of(things.type)
+    type = element_type(things.type)
     element = Binding("it", "element", type, Rate.ELEMENT, span)
     over = SetOf(Type(Kind.SET, Dim(), type.of), Rate.AGENT, span, "all", type.of or "", (None,), element, None)
     return Reduce(type, Rate.AGENT, span, "nearest", over, element, None)

@@ -8,11 +8,11 @@ from typing import cast
 from antdsl.diagnostics import Fix
 from antdsl.program.declarations.behaviours import call_behaviour
 from antdsl.program.model import Dim, Expr, Kind, Op, Rate, Type
-from antdsl.program.names.scope import BAD, NUMBER, Scope, bad, did_you_mean, rate_of, type_from_words
-from antdsl.program.tables.defaults import default_of
-from antdsl.program.tables.other_words import instead_of_call
+from antdsl.program.names.scope import BAD, NUMBER, Scope, bad_expression, did_you_mean, rate_of, type_from_words
+from antdsl.program.tables.defaults import default_values
+from antdsl.program.tables.other_words import call_replacement
 from antdsl.program.tables.rows import Arg, Builtin
-from antdsl.program.tables.units import product, scaled
+from antdsl.program.tables.units import combine_dimensions, scale_dimension
 from antdsl.program.tables.vocabulary import (
     BUILTIN_ATTRIBUTES,
     BUILTINS,
@@ -22,9 +22,9 @@ from antdsl.program.tables.vocabulary import (
     RUN_NAMES,
     SENSED_NAMES,
 )
-from antdsl.program.types.arguments import Slot, arranged, place, type_all
-from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
-from antdsl.program.types.expressions import MAY_BE_NONE, THINGS, Known
+from antdsl.program.types.arguments import Slot, arrange_arguments, place, type_arguments
+from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words
+from antdsl.program.types.expressions import MAY_BE_NONE, THINGS, TypedArgument
 from antdsl.program.types.folding import constant_behind, fold
 from antdsl.program.types.operators import as_value, count, draw_site, value
 from antdsl.program.types.sets import SETS, reduce
@@ -50,12 +50,12 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
     if not isinstance(function, nodes.NameRef):
         scope.report.error(
             "wrong-kind",
-            f"{quoted(function.span)} cannot be called",
+            f"{quote_source(function.span)} cannot be called",
             function.span,
             "only behaviours and built-in words are called",
         )
-        type_all(scope, node)
-        return bad(node.span)
+        type_arguments(scope, node)
+        return bad_expression(node.span)
     name = function.name.text
     if (
         name in REDUCERS
@@ -67,12 +67,12 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
         return _builtin(scope, node, name, want)
     if scope.file.behaviour(name) is not None:
         return call_behaviour(scope, node, want)
-    _unknown(scope, node, function.name, want)
-    type_all(scope, node)
-    return bad(node.span)
+    _report_unknown(scope, node, function.name, want)
+    type_arguments(scope, node)
+    return bad_expression(node.span)
 
 
-def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None) -> None:
+def _report_unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None) -> None:
     if name.text in RESERVED:
         words = f"`{name.text}` is a word of the language that does not work yet"
         scope.report.error("not-yet", words, name.span, "leave it out for now")
@@ -91,27 +91,27 @@ def _unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None
             scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice, fix=fix)
         return
     known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
-    instead, fix = instead_of_call(node, name.text), None
+    instead, fix = call_replacement(node, name.text), None
     if not node.arguments and name.text in (BUILTIN_ATTRIBUTES.keys() | RUN_NAMES.keys() | SENSED_NAMES.keys()):
         advice, fix = f"`{name.text}` is a value: write it without brackets", Fix(node.span, name.text)
     elif instead is not None:
         text, is_exact = instead
         advice, fix = (f"write `{text}`", Fix(node.span, text)) if is_exact else (f"here that is `{text}`", None)
     elif name.text in OTHER_SENSES:
-        advice = f"ask {OTHER_SENSES[name.text].replace('X', _first_written(node))}"
+        advice = f"ask {OTHER_SENSES[name.text].replace('X', _first_argument_name(node))}"
     else:
-        advice = did_you_mean(name.text, known, _own(node, name.text, want))
+        advice = did_you_mean(name.text, known, _own_behaviour_text(node, name.text, want))
     scope.report.error("unknown-behaviour", f"no behaviour `{name.text}`", name.span, advice, fix=fix)
 
 
-def _first_written(node: nodes.Call) -> str:
+def _first_argument_name(node: nodes.Call) -> str:
     """Return the text of the first argument, if it is a name."""
     first = node.arguments[0] if node.arguments else None
     named = isinstance(first, nodes.Argument) and isinstance(first.value, nodes.NameRef)
     return first.span.text if first is not None and named else "food"
 
 
-def _own(node: nodes.Call, name: str, want: Type | None) -> str:
+def _own_behaviour_text(node: nodes.Call, name: str, want: Type | None) -> str:
     """Return how a behaviour of that name would be written, for the arguments of the call and the expected type."""
     kind = want.kind if want is not None else Kind.NUMBER
     gives = {Kind.BOOL: "bool", Kind.VECTOR: "push"}.get(kind, "number")
@@ -127,11 +127,11 @@ def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Ex
     rows = BUILTINS[name]
     if rows[0].op in SETS:
         return SETS[rows[0].op](scope, node, name, rows[0])
-    row, node = (rows[0], node) if len(rows) == 1 else _row(scope, node, rows)
-    arguments_by_slot = arranged(scope, name, [_slot(each) for each in row.args], node)
+    row, node = (rows[0], node) if len(rows) == 1 else _matching_row(scope, node, rows)
+    arguments_by_slot = arrange_arguments(scope, name, [_slot(each) for each in row.args], node)
     if arguments_by_slot is None:
-        type_all(scope, node)
-        return bad(node.span)
+        type_arguments(scope, node)
+        return bad_expression(node.span)
     variables: Variables = {}
     args: list[Expr | None] = []
     for arg in row.args:
@@ -142,7 +142,7 @@ def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Ex
             for each in written:
                 args += _argument(scope, name, arg, each.value, variables, want)
     if any(a is not None and a.type.kind is Kind.BAD for a in args):
-        return Op(_result(row, variables, args), rate_of(args), node.span, row.op, tuple(args))
+        return Op(_result_type(row, variables, args), rate_of(args), node.span, row.op, tuple(args))
     return _operation(scope, node, row, tuple(args), variables)
 
 
@@ -150,7 +150,7 @@ def _slot(arg: Arg) -> Slot:
     return Slot(arg.name, arg.default is None and not arg.optional, arg.variadic, arg.type.startswith("range"))
 
 
-def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Builtin, nodes.Call]:
+def _matching_row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Builtin, nodes.Call]:
     """Return, of several operations of one name, the one that takes the first argument and the given names.
 
     Also returns the call with that argument already typed, so that nested calls are typed once."""
@@ -159,12 +159,12 @@ def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Bui
     first = node.arguments[0] if node.arguments else None
     if not isinstance(first, nodes.Argument) or isinstance(first.value, (nodes.RangeExpr, nodes.Number, nodes.Quantity)):
         return fitting[0], node
-    expr = scope.typed(first.value)
+    expr = scope.type_expression(first.value)
     kind = expr.type.kind
     if len(node.arguments) > 1 and not named and kind is Kind.FIELD:
         kind = Kind.NUMBER  # `max(trail, 0.5)`: the greater of two numbers; cells are meant with `nearest:`
     kind = {Kind.MAP: Kind.NUMBER, Kind.FLOW: Kind.VECTOR}.get(kind, kind)
-    known = nodes.Argument(first.name, cast(nodes.Expr, Known(expr, first.value.span)), first.span)
+    known = nodes.Argument(first.name, cast(nodes.Expr, TypedArgument(expr, first.value.span)), first.span)
     node = nodes.Call(node.function, (known, *node.arguments[1:]), node.span)
     return next((row for row in fitting if Kind(row.args[0].type.split()[0]) is kind), fitting[0]), node
 
@@ -172,7 +172,7 @@ def _row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> tuple[Bui
 def _default(scope: Scope, arg: Arg, node: nodes.Call) -> list[Expr | None]:
     if arg.default is None:
         return [None] * (2 if arg.type.startswith("range") else 1)
-    return list(default_of(scope, arg.default, node.span))
+    return list(default_values(scope, arg.default, node.span))
 
 
 def _argument(
@@ -189,11 +189,11 @@ def _argument(
         return [count(scope, node, who)]
     if word == "any":
         return [
-            _same(
+            _bind_variable(
                 scope,
                 called,
                 node,
-                scope.typed(node, variables[variable][1].type if variable in variables else want),
+                scope.type_expression(node, variables[variable][1].type if variable in variables else want),
                 variable,
                 variables,
             )
@@ -202,42 +202,44 @@ def _argument(
         kind = Kind(word)
         expr = value(scope, node)
         if expr.type.kind not in (kind, Kind.BAD):
-            mismatch(
+            report_mismatch(
                 scope.report,
                 node,
                 expr.type,
                 Type(kind, variables[variable][1].type.dim if variable in variables else Dim()),
                 who,
             )
-            return [bad(node.span)]
-        return [_same(scope, called, node, expr, variable, variables, dims_only=True)]
+            return [bad_expression(node.span)]
+        return [_bind_variable(scope, called, node, expr, variable, variables, dims_only=True)]
     type = type_from_words(word) or BAD
-    expr = scope.typed(node, type) if type.kind in THINGS else value(scope, node, type)
+    expr = scope.type_expression(node, type) if type.kind in THINGS else value(scope, node, type)
     if type.kind is Kind.OBSTACLE and expr.type.kind in (Kind.SURFACE, Kind.SOLID):
         return [expr]
-    if not fits(expr.type, type):
-        mismatch(scope.report, node, expr.type, type, who, expr)
-        return [bad(node.span)]
-    within_row(scope, arg, who, node.span, expr)
+    if not is_compatible(expr.type, type):
+        report_mismatch(scope.report, node, expr.type, type, who, expr)
+        return [bad_expression(node.span)]
+    check_row_limits(scope, arg, who, node.span, expr)
     return [expr]
 
 
-def within_row(scope: Scope, arg: Arg, who: str, span: Span, expr: Expr, sample: str = "") -> None:
+def check_row_limits(scope: Scope, arg: Arg, who: str, span: Span, expr: Expr, sample: str = "") -> None:
     """Check a constant against the limits in its row. `sample`: a correct example line."""
     known = constant_behind(expr)
     if known is None:
         return
     if arg.above is not None and known.number <= arg.above:
-        message = f"{who} has to be above {arg.above:g}, and is {quoted(span)}"
+        message = f"{who} has to be above {arg.above:g}, and is {quote_source(span)}"
         if arg.called:
-            message = f"{quoted(span)} is no {arg.called}"
+            message = f"{quote_source(span)} is no {arg.called}"
         help = f"write {type_words(expr.type)} above {arg.above:g}" + (f": `{sample}`" if sample else "")
         scope.report.error("out-of-range", message, span, help)
     if arg.is_integer and known.number % 1 != 0:
-        scope.report.error("wrong-count", f"{who} wants a whole number, not {quoted(span)}", span, "write a number such as `3`")
+        scope.report.error(
+            "wrong-count", f"{who} wants a whole number, not {quote_source(span)}", span, "write a number such as `3`"
+        )
 
 
-def _same(
+def _bind_variable(
     scope: Scope, called: str, node: nodes.Expr, expr: Expr, variable: str, variables: Variables, dims_only: bool = False
 ) -> Expr:
     """Bind a variable of the table, or compare the value with the one that bound it before."""
@@ -249,51 +251,53 @@ def _same(
     agrees = (
         first.type.dim == expr.type.dim
         if dims_only and Kind.BAD not in (first.type.kind, expr.type.kind)
-        else fits(expr.type, first.type)
+        else is_compatible(expr.type, first.type)
     )
     if agrees:
         return expr
-    disagree(scope.report, called, node.span, (first_node, first), (node, expr))
-    return bad(node.span)
+    report_disagreement(scope.report, called, node.span, (first_node, first), (node, expr))
+    return bad_expression(node.span)
 
 
 def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str, variables: Variables) -> list[Expr | None]:
     if not isinstance(node, nodes.RangeExpr):
-        expr = scope.typed(node)
+        expr = scope.type_expression(node)
         if expr.type.kind is not Kind.BAD:
             scope.report.error(
                 "wrong-kind",
-                f"{who} wants a range, and {quoted(node.span)} is one value",
+                f"{who} wants a range, and {quote_source(node.span)} is one value",
                 node.span,
                 "write two values with `..` between: `0 mm .. 5 mm`",
             )
-        return [bad(node.span), bad(node.span)]
+        return [bad_expression(node.span), bad_expression(node.span)]
     low, high = (value(scope, end) for end in (node.low, node.high))
     for end, expr in ((node.low, low), (node.high, high)):
         if expr.type.kind not in (Kind.NUMBER, Kind.BAD):
-            mismatch(scope.report, end, expr.type, NUMBER, who)
-            return [bad(node.span), bad(node.span)]
+            report_mismatch(scope.report, end, expr.type, NUMBER, who)
+            return [bad_expression(node.span), bad_expression(node.span)]
     ends: list[Expr | None] = [
-        _same(scope, called, node.low, low, variable, variables, True),
-        _same(scope, called, node.high, high, variable, variables, True),
+        _bind_variable(scope, called, node.low, low, variable, variables, True),
+        _bind_variable(scope, called, node.high, high, variable, variables, True),
     ]
     a, b = constant_behind(low), constant_behind(high)
     if "from" in who and a and b and (a.u, a.step, a.number) == (b.u, b.step, b.number):
-        scope.report.error("empty-range", f"the range {quoted(node.span)} has no width", node.span, "write two different ends")
+        scope.report.error(
+            "empty-range", f"the range {quote_source(node.span)} has no width", node.span, "write two different ends"
+        )
     return ends
 
 
 def _operation(scope: Scope, node: nodes.Call, row: Builtin, args: tuple[Expr | None, ...], variables: Variables) -> Expr:
     site = draw_site(scope, node.function.span.text, node.span) if row.draws else ""
     rate = max(rate_of(args), Rate.AGENT) if row.draws or row.sense else rate_of(args)
-    operation = Op(_result(row, variables, args), rate, node.span, row.op, args, site)
+    operation = Op(_result_type(row, variables, args), rate, node.span, row.op, args, site)
     check = _EXTRA.get(row.op)
     if check is not None:
         check(scope, node, operation)
     return fold(scope.report, operation)
 
 
-def _result(
+def _result_type(
     row: Builtin, variables: Mapping[str, tuple[nodes.Expr, Expr]], args: list[Expr | None] | tuple[Expr | None, ...]
 ) -> Type:
     """The type that a row of the table promises, its variables filled in."""
@@ -303,11 +307,11 @@ def _result(
         if of == "1/length":
             return Type(kind, Dim(length=-1))
         if of.startswith("sqrt "):
-            return Type(kind, scaled(_dim(variables, of[5:]), 0.5))
+            return Type(kind, scale_dimension(_variable_dimension(variables, of[5:]), 0.5))
         if "*" in of:
             a, b = of.split("*")
-            return Type(kind, product(_dim(variables, a), _dim(variables, b)))
-        return Type(kind, _dim(variables, of))
+            return Type(kind, combine_dimensions(_variable_dimension(variables, a), _variable_dimension(variables, b)))
+        return Type(kind, _variable_dimension(variables, of))
     if word == "any":
         bound_types = [v.type for _, v in variables.values() if v.type.kind is not Kind.BAD]
         return bound_types[0] if bound_types else BAD
@@ -317,24 +321,24 @@ def _result(
     return type_from_words(word) or Type(Kind(word))
 
 
-def _dim(variables: Mapping[str, tuple[nodes.Expr, Expr]], name: str) -> Dim:
+def _variable_dimension(variables: Mapping[str, tuple[nodes.Expr, Expr]], name: str) -> Dim:
     return variables[name][1].type.dim if name in variables else Dim()
 
 
 # --- what the table cannot say ---------------------------------------------------------------------------------------
 
 
-def _first(scope: Scope, node: nodes.Call, operation: Op) -> None:
+def _check_first(scope: Scope, node: nodes.Call, operation: Op) -> None:
     if operation.type.kind not in (*MAY_BE_NONE, Kind.BAD):
         scope.report.error(
             "wrong-kind",
-            f"`first` is for things that may be none, and {quoted(node.arguments[0].span)} is {type_words(operation.type)}",
+            f"`first` is for things that may be none, and {quote_source(node.arguments[0].span)} is {type_words(operation.type)}",
             node.span,
             "write `first(nearest(food, with: load > 0), nearest(food))` or `max(a, b)`",
         )  # fmt: skip
 
 
-def _pick(scope: Scope, node: nodes.Call, operation: Op) -> None:
+def _check_pick(scope: Scope, node: nodes.Call, operation: Op) -> None:
     if operation.type.kind in THINGS or operation.type.kind is Kind.SET:
         scope.report.error(
             "wrong-kind",
@@ -344,24 +348,26 @@ def _pick(scope: Scope, node: nodes.Call, operation: Op) -> None:
         )
 
 
-def _clamp(scope: Scope, node: nodes.Call, operation: Op) -> None:
+def _check_clamp(scope: Scope, node: nodes.Call, operation: Op) -> None:
     low, high = (constant_behind(a) if a is not None else None for a in operation.args[1:3])
     if low and high and (low.u, low.step) == (high.u, high.step) and low.number > high.number:
         span: Span = node.arguments[1].span if len(node.arguments) > 1 else node.span
         scope.report.error("empty-range", "the range ends before it begins", span, "write the lesser end first")
 
 
-def _uniform(scope: Scope, node: nodes.Call, operation: Op) -> None:
+def _check_uniform(scope: Scope, node: nodes.Call, operation: Op) -> None:
     low, high = (constant_behind(a) if a is not None else None for a in operation.args)
     if low and high and (low.u, low.step) == (high.u, high.step) and low.number > high.number:
         written = [arg for arg in node.arguments if isinstance(arg, nodes.Argument)]
         lesser, greater = (" ".join(arg.value.span.text.split()) for arg in reversed(written))
         better = f"uniform({lesser}, {greater})"
         fix = None if any(arg.name for arg in written) else Fix(node.span, better)
-        scope.report.error("empty-range", f"{quoted(node.span)} ends before it begins", node.span, f"write `{better}`", fix=fix)
+        scope.report.error(
+            "empty-range", f"{quote_source(node.span)} ends before it begins", node.span, f"write `{better}`", fix=fix
+        )
 
 
-def _normal(scope: Scope, node: nodes.Call, operation: Op) -> None:
+def _check_normal(scope: Scope, node: nodes.Call, operation: Op) -> None:
     deviation = constant_behind(operation.args[1]) if operation.args[1] is not None else None
     if deviation is not None and deviation.number < 0:
         span = node.arguments[-1].span
@@ -369,5 +375,5 @@ def _normal(scope: Scope, node: nodes.Call, operation: Op) -> None:
 
 
 _EXTRA: dict[str, Callable[[Scope, nodes.Call, Op], None]] = {
-    "first": _first, "pick": _pick, "clamp": _clamp, "uniform": _uniform, "normal": _normal,
+    "first": _check_first, "pick": _check_pick, "clamp": _check_clamp, "uniform": _check_uniform, "normal": _check_normal,
 }  # fmt: skip

@@ -41,7 +41,7 @@ def type_words(type: Type) -> str:
     return _KINDS.get(type.kind, with_article(type.kind.value))
 
 
-def quoted(span: Span, most: int = 40) -> str:
+def quote_source(span: Span, most: int = 40) -> str:
     """The author's own text in backquotes, on one line, shortened if long."""
     text = " ".join(span.text.split())
     if len(text) > most:
@@ -49,7 +49,7 @@ def quoted(span: Span, most: int = 40) -> str:
     return f"`{text}`"
 
 
-def fits(actual: Type, expected: Type) -> bool:
+def is_compatible(actual: Type, expected: Type) -> bool:
     """Return whether a value of one type may replace one of the other. Values with a reported error fit everywhere."""
     if Kind.BAD in (actual.kind, expected.kind):
         return True
@@ -60,7 +60,7 @@ def fits(actual: Type, expected: Type) -> bool:
     return actual.of is None or expected.of is None or actual.of == expected.of
 
 
-def mismatch(report: Report, node: nodes.Expr, actual: Type, expected: Type, place: str, expr: Expr | None = None) -> None:
+def report_mismatch(report: Report, node: nodes.Expr, actual: Type, expected: Type, place: str, expr: Expr | None = None) -> None:
     """Report that `node` has another type than `place` needs: a missing unit, a wrong unit, or another kind of thing. `expr` is
     its typed expression, if known."""
     if isinstance(expr, Op) and expr.name == "map_value" and expected.kind is Kind.VECTOR:
@@ -78,7 +78,7 @@ def mismatch(report: Report, node: nodes.Expr, actual: Type, expected: Type, pla
 
 
 def _mismatch(node: nodes.Expr, actual: Type, expected: Type, place: str) -> Diagnostic:
-    text, want = quoted(node.span), type_words(expected)
+    text, want = quote_source(node.span), type_words(expected)
     both_numbers = actual.kind is Kind.NUMBER and expected.kind is Kind.NUMBER
     if both_numbers and isinstance(node, nodes.Number):
         write = with_unit(node.value, expected.dim)
@@ -103,13 +103,13 @@ def _mismatch(node: nodes.Expr, actual: Type, expected: Type, place: str) -> Dia
         return Diagnostic("wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice)
     advice = _advice(node, actual, expected)
     message = f"{text} is {type_words(actual)}, and {place} wants {want}"
-    fix = _with_units(node) if expected.kind is Kind.PLACE and actual == Type(Kind.VECTOR) else None
+    fix = _vector_units_fix(node) if expected.kind is Kind.PLACE and actual == Type(Kind.VECTOR) else None
     if fix is None and expected.kind is not Kind.FLOW and not (expected.kind is Kind.BOOL and actual.kind in _THINGS):
-        fix = _made_of(node, advice)
+        fix = _own_text_fix(node, advice)
     return Diagnostic("wrong-kind", message, node.span, help=advice, fix=fix)
 
 
-def _with_units(node: nodes.Expr) -> Fix | None:
+def _vector_units_fix(node: nodes.Expr) -> Fix | None:
     """Return a fix for `vector(10, 0, 0)` that makes its numbers lengths, and so the vector a place."""
     if not isinstance(node, nodes.Call) or node.function.span.text != "vector":
         return None
@@ -123,7 +123,7 @@ def _is_minus(node: nodes.Expr) -> bool:
     return isinstance(node, nodes.Unary) and node.op == "-" and isinstance(node.operand, nodes.Number)
 
 
-def _made_of(node: nodes.Expr, advice: str) -> Fix | None:
+def _own_text_fix(node: nodes.Expr, advice: str) -> Fix | None:
     """Return the first text in backquotes of the advice as a fix, if it consists of the author's text."""
     text, match = " ".join(node.span.text.split()), re.search("`([^`…]+)`", advice)
     return Fix(node.span, match[1]) if match and text in match[1] else None
@@ -136,7 +136,7 @@ def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
         any_there = f", or `nearest({short})` for whether there is any" if actual.kind in (Kind.ITEMS, Kind.SPECIES) else ""
         return f"ask something of it: `touching({short})`, `distance({short}) < 20 mm`{any_there}"
     if expected.kind is Kind.PLACE:
-        fix = _with_units(node) if actual.kind is Kind.VECTOR else None
+        fix = _vector_units_fix(node) if actual.kind is Kind.VECTOR else None
         if fix is not None:
             return f"a place has lengths: `{fix.text}`"
         if actual.kind is Kind.VECTOR and actual.dim == Dim():
@@ -171,16 +171,18 @@ def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
     return f"write {type_words(expected)}"
 
 
-def disagree(report: Report, op: str, span: Span, left: tuple[nodes.Expr, Expr], right: tuple[nodes.Expr, Expr]) -> None:
+def report_disagreement(
+    report: Report, op: str, span: Span, left: tuple[nodes.Expr, Expr], right: tuple[nodes.Expr, Expr]
+) -> None:
     """Report that the two sides of an operator do not match, with the author's text of both."""
     (left_node, a), (right_node, b) = left, right
-    both = f"{quoted(left_node.span)} is {type_words(a.type)} and {quoted(right_node.span)} is {type_words(b.type)}"
+    both = f"{quote_source(left_node.span)} is {type_words(a.type)} and {quote_source(right_node.span)} is {type_words(b.type)}"
     message = f"{both}: `{op}` wants both alike"
     advice, fix = None, None
     for node, other in ((right_node, a), (left_node, b)):
         if isinstance(node, (nodes.Number, nodes.Quantity)) and other.type.kind is Kind.NUMBER:
             write = with_unit(node.value, other.type.dim)
-            advice, fix = f"write `{write}` for {quoted(node.span)}", Fix(node.span, write)
+            advice, fix = f"write `{write}` for {quote_source(node.span)}", Fix(node.span, write)
             break
     labels = (Label(left_node.span, type_words(a.type)), Label(right_node.span, type_words(b.type)))
     missing = any(isinstance(n, nodes.Number) for n in (left_node, right_node)) and a.type.kind is b.type.kind

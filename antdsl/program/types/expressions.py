@@ -6,25 +6,39 @@ from dataclasses import dataclass
 
 from antdsl import limits
 from antdsl.diagnostics import Fix
-from antdsl.program.model import Attribute, Binding, Const, Expr, Kind, Local, NoneRef, Op, ParamRef, Rate, SetOf, Thing, Type
+from antdsl.program.model import (
+    Attribute,
+    Binding,
+    BindingRef,
+    Const,
+    Expr,
+    Kind,
+    NoneRef,
+    Op,
+    ParamRef,
+    Rate,
+    SetOf,
+    ThingRef,
+    Type,
+)
 from antdsl.program.names.missing import missing_thing
 from antdsl.program.names.scope import (
     BAD,
     BOOL,
     Scope,
     attributes_of,
-    bad,
+    bad_expression,
     did_you_mean,
     is_known_missing,
-    listed,
+    list_names,
     type_from_words,
 )
 from antdsl.program.tables.other_words import NAMES
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import constant, number
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, BUILTINS, REDUCERS, RESERVED, RUN_NAMES, SENSED_NAMES, UNITS
-from antdsl.program.types.descriptions import quoted, type_words
-from antdsl.program.types.states import STATE_WORDS, machine_named, of_machine, state_word
+from antdsl.program.types.descriptions import quote_source, type_words
+from antdsl.program.types.states import STATE_WORDS, find_machine, machine_value, state_word
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.words import UNIT_NAMES
@@ -44,14 +58,14 @@ def quantity_of(scope: Scope, node: nodes.Quantity, want: Type | None) -> Expr:
     expr = constant(node.value, node.unit, node.span)
     if expr is not None:
         if abs(expr.number) > limits.LARGEST:
-            message = f"{quoted(node.span)} is too large to keep"
+            message = f"{quote_source(node.span)} is too large to keep"
             scope.report.error("number-too-large", message, node.span, "write a smaller number")
         return expr
     units = ", ".join(f"`{unit}`" for unit in UNITS)
     scope.report.error(
         "unknown-unit", f"no unit `{node.unit}`", node.unit_span, did_you_mean(node.unit, UNITS, f"units are {units}")
     )
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
 def none_of(scope: Scope, node: nodes.NoneOf, want: Type | None) -> Expr:
@@ -64,22 +78,22 @@ def none_of(scope: Scope, node: nodes.NoneOf, want: Type | None) -> Expr:
             node.span,
             "write `none of food` or `none of rabbit`, with the name that is meant",
         )
-        return bad(node.span)
-    type = referable(scope, node.of)
-    return bad(node.span) if type is None else NoneRef(type, Rate.CONST, node.span)
+        return bad_expression(node.span)
+    type = reference_type(scope, node.of)
+    return bad_expression(node.span) if type is None else NoneRef(type, Rate.CONST, node.span)
 
 
-def referable(scope: Scope, name: nodes.Name) -> Type | None:
+def reference_type(scope: Scope, name: nodes.Name) -> Type | None:
     """Return the type of one item or agent of a declared name; report an error and return None if the name cannot be referred
     to."""
     declared = scope.declared
     thing = declared.things.get(name.text)
     if thing is not None and thing.kind == "items":
-        scope.use("thing", name.text)
+        scope.mark_used("thing", name.text)
         scope.bind(name.span, "thing", name.text)
         return Type(Kind.ITEM, of=name.text)
     if name.text in declared.species:
-        scope.use("species", name.text)
+        scope.mark_used("species", name.text)
         scope.bind(name.span, "species", name.text)
         return Type(Kind.AGENT, of=name.text)
     known = [t.name for t in declared.things.values() if t.kind == "items"] + list(declared.species)
@@ -95,11 +109,11 @@ def referable(scope: Scope, name: nodes.Name) -> Type | None:
 
 def name_of(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
     name, span = node.name.text, node.span
-    for look in (_local, _of_element, _word, _own, _builtin_value, _of_world):
+    for look in (_local, _element_value, _language_word, _species_value, _builtin_value, _world_value):
         expr = look(scope, name, span)
         if expr is not None:
             return expr
-    return _unknown(scope, node, want)
+    return _report_unknown(scope, node, want)
 
 
 def _local(scope: Scope, name: str, span: Span) -> Expr | None:
@@ -107,9 +121,9 @@ def _local(scope: Scope, name: str, span: Span) -> Expr | None:
     if local_value is None:
         return None
     if isinstance(local_value, Binding):
-        scope.use("local", f"{local_value.span}:{name}")
+        scope.mark_used("local", f"{local_value.span}:{name}")
         scope.bind_local(span, local_value.span)
-        return read(scope, local_value, span)
+        return binding_value(scope, local_value, span)
     if local_value.type.kind is Kind.BAD:
         scope.bind_local(span, local_value.span)
     else:
@@ -117,16 +131,16 @@ def _local(scope: Scope, name: str, span: Span) -> Expr | None:
     return local_value
 
 
-def read(scope: Scope, binding: Binding, span: Span) -> Expr:
+def binding_value(scope: Scope, binding: Binding, span: Span) -> Expr:
     """A use of a named value."""
     if binding.role == "let" and binding.snapshot and scope.no_let:
-        _too_early(scope, binding.name, span)
+        _report_too_early(scope, binding.name, span)
     if binding.type.kind is Kind.SET and isinstance(binding.value, SetOf):
         return binding.value
-    return Local(binding.type, binding.rate, span, binding)
+    return BindingRef(binding.type, binding.rate, span, binding)
 
 
-def _too_early(scope: Scope, name: str, span: Span) -> None:
+def _report_too_early(scope: Scope, name: str, span: Span) -> None:
     scope.report.error("let-too-early", f"`{name}` cannot be read here: {scope.no_let}", span, "set it in `on spawn { … }`")
 
 
@@ -134,14 +148,14 @@ def report_pair_value(scope: Scope, node: nodes.Name, owner: str = "") -> Expr:
     """Report a pair value that is named without its other agent."""
     help = f"the agent that has it reads it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
     scope.report.error("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
-def _of_element(scope: Scope, name: str, span: Span) -> Expr | None:
+def _element_value(scope: Scope, name: str, span: Span) -> Expr | None:
     if scope.element is None:
         return None
     element = scope.element
-    owner = Local(element.type, Rate.ELEMENT, span, element)
+    owner = BindingRef(element.type, Rate.ELEMENT, span, element)
     if name == "it":
         return owner
     if name in STATE_WORDS and element.type.kind is Kind.AGENT:
@@ -153,36 +167,36 @@ def _of_element(scope: Scope, name: str, span: Span) -> Expr | None:
     return value_of(scope, owner, name, type, span)
 
 
-def _word(scope: Scope, name: str, span: Span) -> Expr | None:
+def _language_word(scope: Scope, name: str, span: Span) -> Expr | None:
     if name == "self":
-        return Thing(Type(Kind.AGENT, of=scope.species.name if scope.species else None), Rate.AGENT, span, "self")
+        return ThingRef(Type(Kind.AGENT, of=scope.species.name if scope.species else None), Rate.AGENT, span, "self")
     if name in ("true", "false"):
         return Const(BOOL, Rate.CONST, span, float(name == "true"))
     return None
 
 
-def _own(scope: Scope, name: str, span: Span) -> Expr | None:
+def _species_value(scope: Scope, name: str, span: Span) -> Expr | None:
     """Return a name of the species: a param, attribute, let, latch, or value of its machines. Behaviours do not see these."""
     species = scope.species
     if species is None or scope.behaviour is not None:
         return None
     scope.bind_own(span, name)
     if name in species.params:
-        scope.use("param", f"{species.name}.{name}")
+        scope.mark_used("param", f"{species.name}.{name}")
         return ParamRef(species.params[name], Rate.RUN, span, f"{species.name}.{name}")
     if name in species.each:
         return report_pair_value(scope, nodes.Name(name, span))
     if name in species.attributes:
-        scope.use("attribute", f"{species.name}.{name}")
+        scope.mark_used("attribute", f"{species.name}.{name}")
         return Attribute(species.attributes[name], Rate.AGENT, span, None, name)
     if name in species.bindings:
-        scope.use("let", f"{species.name}.{name}")
-        return read(scope, species.bindings[name], span)
+        scope.mark_used("let", f"{species.name}.{name}")
+        return binding_value(scope, species.bindings[name], span)
     if name in species.pending:
-        scope.use("let", f"{species.name}.{name}")
+        scope.mark_used("let", f"{species.name}.{name}")
         if scope.no_let:
-            _too_early(scope, name, span)
-        return bad(span)
+            _report_too_early(scope, name, span)
+        return bad_expression(span)
     if name in STATE_WORDS and species.machines:
         return state_word(scope, None, name, span, None)
     return None
@@ -194,36 +208,36 @@ def _builtin_value(scope: Scope, name: str, span: Span) -> Expr | None:
         return Attribute(type or BAD, Rate.AGENT, span, None, name)
     if name in RUN_NAMES:
         type, rate = type_from_words(RUN_NAMES[name]) or BAD, Rate.RUN if name == "dt" else Rate.STEP
-        return Op(type, rate, span, "run", (Thing(type, rate, span, name),))
+        return Op(type, rate, span, "run", (ThingRef(type, rate, span, name),))
     if name in SENSED_NAMES:
         return Op(type_from_words(SENSED_NAMES[name]) or BAD, Rate.AGENT, span, name, ())
     return None
 
 
-def _of_world(scope: Scope, name: str, span: Span) -> Expr | None:
+def _world_value(scope: Scope, name: str, span: Span) -> Expr | None:
     declared = scope.declared
     if name in declared.fields:
-        scope.use("field", name)
+        scope.mark_used("field", name)
         scope.bind(span, "field", name)
-        return Thing(Type(Kind.FIELD), Rate.CONST, span, name)
+        return ThingRef(Type(Kind.FIELD), Rate.CONST, span, name)
     if name in declared.species:
-        scope.use("species", name)
+        scope.mark_used("species", name)
         scope.bind(span, "species", name)
-        return Thing(Type(Kind.SPECIES, of=name), Rate.CONST, span, name)
+        return ThingRef(Type(Kind.SPECIES, of=name), Rate.CONST, span, name)
     thing = declared.things.get(name)
     if thing is not None:
-        scope.use("thing", name)
+        scope.mark_used("thing", name)
         scope.bind(span, "thing", name)
-        return Thing(Type(Kind(thing.kind), of=name), Rate.CONST, span, name)
+        return ThingRef(Type(Kind(thing.kind), of=name), Rate.CONST, span, name)
     if name in declared.events and scope.species is not None:
-        scope.use("event", name)
-        scope.use("heard", f"{name} {scope.species.name}")
+        scope.mark_used("event", name)
+        scope.mark_used("heard", f"{name} {scope.species.name}")
         scope.bind(span, "event", name)
-        return Op(BOOL, Rate.AGENT, span, "event", (Thing(BOOL, Rate.CONST, span, name),))
+        return Op(BOOL, Rate.AGENT, span, "event", (ThingRef(BOOL, Rate.CONST, span, name),))
     return None
 
 
-def visible(scope: Scope) -> set[str]:
+def visible_names(scope: Scope) -> set[str]:
     """Every name that may be written as a value at a place."""
     names = set(scope.locals) | set(BUILTIN_ATTRIBUTES) | set(RUN_NAMES) | set(SENSED_NAMES) | {"self", "true", "false"}
     names |= set(scope.declared.fields) | set(scope.declared.things) | set(scope.declared.species) | set(scope.declared.events)
@@ -236,12 +250,12 @@ def visible(scope: Scope) -> set[str]:
     return names
 
 
-def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
+def _report_unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
     name, report = node.name.text, scope.report
     if name in scope.declared.unclear:
-        return bad(node.span)
+        return bad_expression(node.span)
     if is_known_missing(scope, "name", node.name):
-        return bad(node.span)
+        return bad_expression(node.span)
     if name in RESERVED:
         report.error("not-yet", f"`{name}` is a word of the language that does not work yet", node.span, "leave it out for now")
     elif scope.species is not None and any(name in m.states for m in scope.species.machines.values()):
@@ -259,16 +273,18 @@ def _unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Expr:
         alone = None not in defaults or (name in BUILTINS and not BUILTINS[name][0].args)
         report.error("call-without-brackets", f"`{name}` wants brackets", node.span, f"write `{name}({'' if alone else '…'})`")
     else:
-        advice, fix = missing_thing(scope, name, want) or _other_word(name, node.span)
+        advice, fix = missing_thing(scope, name, want) or _foreign_word_fix(name, node.span)
         if advice is None:
             advice = did_you_mean(
-                name, visible(scope), f"declare it, or use one of {listed(visible(scope) - set(BUILTIN_ATTRIBUTES))}"
+                name,
+                visible_names(scope),
+                f"declare it, or use one of {list_names(visible_names(scope) - set(BUILTIN_ATTRIBUTES))}",
             )
         report.error("unknown-name", f"no `{name}` is known here", node.span, advice, fix=fix)
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
-def _other_word(name: str, span: Span) -> tuple[str | None, Fix | None]:
+def _foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | None]:
     """Return the replacement for a unit without its number, or for a name from other tools."""
     unit = f"a unit stands behind its number, without blanks inside: `1 {name}`, `30 mm/s`" if name in UNIT_NAMES else None
     instead = NAMES.get(name)
@@ -282,20 +298,20 @@ def _other_word(name: str, span: Span) -> tuple[str | None, Fix | None]:
 
 def value_of(scope: Scope, owner: Expr, name: str, type: Type, span: Span) -> Expr:
     """`owner.name` for a value that is known to be there."""
-    if isinstance(owner, Thing) and owner.name == "self":
-        scope.use("attribute", f"{owner.type.of}.{name}")
+    if isinstance(owner, ThingRef) and owner.name == "self":
+        scope.mark_used("attribute", f"{owner.type.of}.{name}")
         return Attribute(type, Rate.AGENT, span, None, name)
     if owner.type.kind is Kind.AGENT:
-        scope.use("attribute", f"{owner.type.of}.{name}")
+        scope.mark_used("attribute", f"{owner.type.of}.{name}")
     return Attribute(type, max(owner.rate, Rate.AGENT), span, owner, name)
 
 
 def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
-    machine = machine_named(scope, node.owner)
+    machine = find_machine(scope, node.owner)
     if machine is not None:
         scope.bind(node.owner.span, "machine", machine.key.partition(".")[0], machine.name)
-        return of_machine(scope, machine, node)
-    owner = scope.typed(node.owner)
+        return machine_value(scope, machine, node)
+    owner = scope.type_expression(node.owner)
     name, kind = node.name.text, owner.type.kind
     if kind is Kind.BAD:
         return owner
@@ -311,17 +327,17 @@ def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
             return report_pair_value(scope, node.name, owner.type.of or "")
         return value_of(scope, owner, name, known[name], node.span)
     scope.bind_unreadable(node.name, owner.type)
-    _no_member(scope, owner, node, known)
-    return bad(node.span)
+    _report_no_member(scope, owner, node, known)
+    return bad_expression(node.span)
 
 
-def _no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict[str, Type]) -> None:
+def _report_no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict[str, Type]) -> None:
     name, kind, text = node.name.text, owner.type.kind, " ".join(node.owner.span.text.split())
     if kind is Kind.ITEMS:
         advice = f"say which one: `nearest({text}).{name}`" if name != "position" else f"`position({text})`"
         scope.report.error("wrong-kind", f"`{text}` is all items of that name, and `{name}` is a value of one", node.span, advice)
     elif known:
-        advice = did_you_mean(name, known, f"there is {listed(known)}")
+        advice = did_you_mean(name, known, f"there is {list_names(known)}")
         scope.report.error("unknown-name", f"{type_words(owner.type)} has no `{name}`", node.name.span, advice)
     elif kind is Kind.VECTOR:
         scope.report.error(
@@ -333,7 +349,7 @@ def _no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict[str, T
     else:
         scope.report.error(
             "wrong-kind",
-            f"{quoted(node.owner.span)} is {type_words(owner.type)} and has no values",
+            f"{quote_source(node.owner.span)} is {type_words(owner.type)} and has no values",
             node.span,
             f"leave `.{name}` out",
         )
@@ -342,7 +358,7 @@ def _no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict[str, T
 def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
     names = scope.declared.species[owner.type.of] if owner.type.of else None
     if names is not None and node.name.text in names.params:
-        scope.use("param", f"{names.name}.{node.name.text}")
+        scope.mark_used("param", f"{names.name}.{node.name.text}")
         scope.bind(node.name.span, "own", names.name, node.name.text)
         return ParamRef(names.params[node.name.text], Rate.RUN, node.span, f"{names.name}.{node.name.text}")
     scope.bind_unreadable(node.name, owner.type)
@@ -351,32 +367,32 @@ def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
         "wrong-kind", f"`{species}` is a whole species, and `{node.name.text}` is a value of one agent", node.span,
         f"say which one: `nearest({species}).{node.name.text}`",
     )  # fmt: skip
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
 @dataclass(frozen=True, slots=True)
-class Known:
+class TypedArgument:
     """Replaces an argument with a type that was needed before its turn, so that nothing is computed twice."""
 
     expr: Expr
     span: Span
 
 
-def known(scope: Scope, node: Known, want: Type | None) -> Expr:
+def typed_argument(scope: Scope, node: TypedArgument, want: Type | None) -> Expr:
     return node.expr
 
 
 def bad_expr(scope: Scope, node: nodes.BadExpr, want: Type | None) -> Expr:
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
 def range_of(scope: Scope, node: nodes.RangeExpr, want: Type | None) -> Expr:
-    scope.typed(node.low)
-    scope.typed(node.high)
+    scope.type_expression(node.low)
+    scope.type_expression(node.high)
     scope.report.error(
         "wrong-kind",
-        f"a range {quoted(node.span)} cannot stand here",
+        f"a range {quote_source(node.span)} cannot stand here",
         node.span,
         "ranges are for arguments such as `from: 0 mm .. 5 mm`",
     )
-    return bad(node.span)
+    return bad_expression(node.span)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from antdsl import limits
 from antdsl.diagnostics import Report
-from antdsl.program.model import Const, Expr, Local, Op, Rate, Type
+from antdsl.program.model import BindingRef, Const, Expr, Op, Rate, Type
 
 _FOLDED = ("neg", "add", "sub", "mul", "div", "pow")
 _SAME: dict[str, Callable[[float, float], float]] = {"add": lambda a, b: a + b, "sub": lambda a, b: a - b}
@@ -22,7 +22,7 @@ def fold(report: Report, op: Op) -> Expr:
     if op.name == "sqrt" and values[0] is not None and values[0].number < 0:
         report.error("root-of-negative", "the root of a number below 0 does not exist", op.span, "take the root of `abs(…)`")
         return op
-    folded = _folded(op, [v for v in values if v is not None]) if op.name in _FOLDED and all(values) else None
+    folded = _fold_values(op, [v for v in values if v is not None]) if op.name in _FOLDED and all(values) else None
     if folded is None:
         return op
     if not math.isfinite(folded.number) or abs(folded.number) > limits.LARGEST:
@@ -31,7 +31,7 @@ def fold(report: Report, op: Op) -> Expr:
     return folded
 
 
-def _folded(op: Op, values: list[Const]) -> Const | None:
+def _fold_values(op: Op, values: list[Const]) -> Const | None:
     try:
         if op.name == "neg":
             return _const(op, -values[0].number, values[0].u, values[0].step)
@@ -56,6 +56,6 @@ def _const(op: Op, value: float, u: float, step: float) -> Const:
 
 def constant_behind(expr: Expr) -> Const | None:
     """Return the constant value of an expression, also through the argument of a behaviour; None if there is none."""
-    while isinstance(expr, Local) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
+    while isinstance(expr, BindingRef) and expr.binding.role in ("argument", "let") and expr.binding.value is not None:
         expr = expr.binding.value
     return expr if isinstance(expr, Const) else None

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 from antdsl.diagnostics import Fix
 from antdsl.program.model import Const, Expr, Kind, Op, Rate, Type
-from antdsl.program.names.scope import BAD, BOOL, NUMBER, PER_SECOND, PUSH, VELOCITY, Scope, bad, rate_of, type_from_words
+from antdsl.program.names.scope import (
+    BAD,
+    BOOL,
+    NUMBER,
+    PER_SECOND,
+    PUSH,
+    VELOCITY,
+    Scope,
+    bad_expression,
+    rate_of,
+    type_from_words,
+)
 from antdsl.program.tables.senses import find_words
-from antdsl.program.tables.units import product, scaled
+from antdsl.program.tables.units import combine_dimensions, scale_dimension
 from antdsl.program.tables.vocabulary import SIGN_OPS
-from antdsl.program.types.descriptions import disagree, fits, mismatch, quoted, type_words
+from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words
 from antdsl.program.types.expressions import MAY_BE_NONE, THINGS
 from antdsl.program.types.folding import constant_behind, fold
-from antdsl.program.types.states import STATE_WORDS, state_named
+from antdsl.program.types.states import STATE_WORDS, find_state
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -30,7 +41,7 @@ def op(name: str, type: Type, span: Span, *args: Expr | None, site: str = "") ->
 
 def value(scope: Scope, node: nodes.Expr, want: Type | None = None) -> Expr:
     """Return an expression as a value: the name of a field, flow or map stands for its value here."""
-    return as_value(scope.typed(node, want))
+    return as_value(scope.type_expression(node, want))
 
 
 def as_value(expr: Expr) -> Expr:
@@ -41,29 +52,29 @@ def as_value(expr: Expr) -> Expr:
 def value_of_type(scope: Scope, node: nodes.Expr, want: Type, place: str) -> Expr:
     """Return the value of an expression of a required type; `place` describes the place for messages."""
     expr = value(scope, node, want)
-    if fits(expr.type, want):
+    if is_compatible(expr.type, want):
         return expr
-    return _unlike(scope, node, expr, want, place)
+    return _report_wrong_type(scope, node, expr, want, place)
 
 
-def _unlike(scope: Scope, node: nodes.Expr, expr: Expr, want: Type, place: str) -> Expr:
-    mismatch(scope.report, node, expr.type, want, place, expr)
-    return bad(node.span)
+def _report_wrong_type(scope: Scope, node: nodes.Expr, expr: Expr, want: Type, place: str) -> Expr:
+    report_mismatch(scope.report, node, expr.type, want, place, expr)
+    return bad_expression(node.span)
 
 
-def faced(scope: Scope, node: nodes.Expr) -> Expr:
+def facing_direction(scope: Scope, node: nodes.Expr) -> Expr:
     """Return the value of an expression that gives a direction to face: a push or a velocity, of which only the direction
     counts."""
     expr = value(scope, node, PUSH)
-    if fits(expr.type, VELOCITY):
+    if is_compatible(expr.type, VELOCITY):
         return expr
-    return expr if fits(expr.type, PUSH) else _unlike(scope, node, expr, PUSH, "`face`")
+    return expr if is_compatible(expr.type, PUSH) else _report_wrong_type(scope, node, expr, PUSH, "`face`")
 
 
 def condition(scope: Scope, node: nodes.Expr, place: str) -> Expr:
     """Return an expression as a bool; an item, agent, hit or set is true if it is not empty."""
     if not scope.runs_once and _mentions_event(scope, node):
-        scope = scope.inside(runs_once=True)
+        scope = scope.with_changes(runs_once=True)
     return truth(scope, node, value(scope, node, BOOL), place)
 
 
@@ -73,8 +84,8 @@ def truth(scope: Scope, node: nodes.Expr, expr: Expr, place: str) -> Expr:
         return expr
     if kind in MAY_BE_NONE or kind is Kind.SET or (kind is Kind.PLACE and scope.generic):
         return op("is_some", BOOL, expr.span, expr)
-    mismatch(scope.report, node, expr.type, BOOL, place)
-    return bad(node.span)
+    report_mismatch(scope.report, node, expr.type, BOOL, place)
+    return bad_expression(node.span)
 
 
 def _mentions_event(scope: Scope, node: nodes.Expr) -> bool:
@@ -99,13 +110,13 @@ def unary(scope: Scope, node: nodes.Unary, want: Type | None) -> Expr:
     if node.op == "-":
         expr = value(scope, node.operand)
         if expr.type.kind not in (Kind.NUMBER, Kind.VECTOR, Kind.BAD):
-            mismatch(scope.report, node.operand, expr.type, NUMBER, "`-`")
-            return bad(node.span)
+            report_mismatch(scope.report, node.operand, expr.type, NUMBER, "`-`")
+            return bad_expression(node.span)
         return fold(scope.report, op("neg", expr.type, node.span, expr))
     if node.op == "not":
         return _not(scope, node)
     if node.op == "no":
-        return _no(scope, node)
+        return _no_test(scope, node)
     return _chance(scope, node)
 
 
@@ -114,12 +125,12 @@ def _not(scope: Scope, node: nodes.Unary) -> Expr:
     if expr.type == NUMBER:
         return op("sub", NUMBER, node.span, Const(NUMBER, Rate.CONST, node.span, 1.0), expr)
     if expr.type == BAD:
-        return bad(node.span)
+        return bad_expression(node.span)
     return op("not", BOOL, node.span, truth(scope, node.operand, expr, "`not`"))
 
 
-def _no(scope: Scope, node: nodes.Unary) -> Expr:
-    expr = scope.typed(node.operand)
+def _no_test(scope: Scope, node: nodes.Unary) -> Expr:
+    expr = scope.type_expression(node.operand)
     return _none_test(scope, node.operand, expr, node.span, "no")
 
 
@@ -132,13 +143,13 @@ def _none_test(scope: Scope, node: nodes.Expr, expr: Expr, span: Span, word: str
     if kind in (Kind.ITEMS, Kind.SPECIES):
         nearest = f"nearest({' '.join(node.span.text.split())})"
         advice, fix = f"ask for one of them: `no {nearest}`", Fix(node.span, nearest)
-    message = f"{quoted(node.span)} is {type_words(expr.type)}, which is never none"
+    message = f"{quote_source(node.span)} is {type_words(expr.type)}, which is never none"
     scope.report.error("wrong-kind", message, node.span, advice, fix=fix)
-    return bad(span)
+    return bad_expression(span)
 
 
 def is_none(scope: Scope, node: nodes.IsNone, want: Type | None) -> Expr:
-    expr = scope.typed(node.operand)
+    expr = scope.type_expression(node.operand)
     test = _none_test(scope, node.operand, expr, node.span, "is none")
     return op("not", BOOL, node.span, test) if node.negated and isinstance(test, Op) else test
 
@@ -146,33 +157,36 @@ def is_none(scope: Scope, node: nodes.IsNone, want: Type | None) -> Expr:
 def _chance(scope: Scope, node: nodes.Unary) -> Expr:
     expr = value(scope, node.operand)
     site = draw_site(scope, "chance", node.span)
-    _bounded_chance(scope, node, expr)
-    if fits(expr.type, PER_SECOND) or (scope.runs_once and fits(expr.type, NUMBER)):
+    _check_chance(scope, node, expr)
+    if is_compatible(expr.type, PER_SECOND) or (scope.runs_once and is_compatible(expr.type, NUMBER)):
         return Op(BOOL, max(expr.rate, Rate.AGENT), node.span, "chance", (expr,), site)
     if expr.type == NUMBER:
         text = " ".join(node.operand.span.text.split())
         if isinstance(node.operand, nodes.Number | nodes.Quantity):
             text = text.replace(",", ".")
         scope.report.error(
-            "not-a-rate", f"{quoted(node.operand.span)} does not say per what time", node.operand.span,
+            "not-a-rate", f"{quote_source(node.operand.span)} does not say per what time", node.operand.span,
             f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for so much a second",
         )  # fmt: skip
     else:
-        mismatch(scope.report, node.operand, expr.type, PER_SECOND, "`chance`")
-    return bad(node.span)
+        report_mismatch(scope.report, node.operand, expr.type, PER_SECOND, "`chance`")
+    return bad_expression(node.span)
 
 
-def _bounded_chance(scope: Scope, node: nodes.Unary, expr: Expr) -> None:
+def _check_chance(scope: Scope, node: nodes.Unary, expr: Expr) -> None:
     known = constant_behind(expr)
     if known is None:
         return
     if known.number < 0:
         scope.report.error(
-            "out-of-range", f"a chance below 0: {quoted(node.operand.span)}", node.operand.span, "write a chance of 0 or more"
+            "out-of-range",
+            f"a chance below 0: {quote_source(node.operand.span)}",
+            node.operand.span,
+            "write a chance of 0 or more",
         )
     elif known.type == NUMBER and known.number > 1 and scope.runs_once:
         scope.report.error(
-            "out-of-range", f"a chance above 100 %: {quoted(node.operand.span)}", node.operand.span, "write at most `100 %`"
+            "out-of-range", f"a chance above 100 %: {quote_source(node.operand.span)}", node.operand.span, "write at most `100 %`"
         )
 
 
@@ -198,11 +212,11 @@ def count(scope: Scope, node: nodes.Expr, who: str) -> Expr:
         return Const(NUMBER, Rate.CONST, node.span, known.number)
     scope.report.error(
         "wrong-count",
-        f"{who} wants a whole number from 1 to 64, not {quoted(node.span)}",
+        f"{who} wants a whole number from 1 to 64, not {quote_source(node.span)}",
         node.span,
         "write a number such as `3`",
     )
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
 # --- two operands ----------------------------------------------------------------------------------------------------
@@ -254,108 +268,108 @@ def _equal(scope: Scope, node: nodes.Binary) -> Expr:
         left_node, right_node = right_node, left_node
     left = value(scope, left_node)
     if left.type.kind is Kind.BAD and _is_state(scope, right_node):
-        return bad(node.span)
+        return bad_expression(node.span)
     if left.type.kind is Kind.STATE:
-        pair = state_named(scope, left, right_node)
+        pair = find_state(scope, left, right_node)
         if pair is not None:
             return op(SIGN_OPS[node.op], BOOL, node.span, *pair)
     right = value(scope, right_node, left.type)
     if isinstance(left_node, nodes.NoneOf) and left_node.of is None and right.type.kind in MAY_BE_NONE:
         left = value(scope, left_node, right.type)
-    if fits(left.type, right.type) and left.type.kind not in THINGS | {Kind.SET, Kind.VECTOR}:
+    if is_compatible(left.type, right.type) and left.type.kind not in THINGS | {Kind.SET, Kind.VECTOR}:
         return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
     if left.type.kind is right.type.kind and left.type.kind is not Kind.NUMBER:
         scope.report.error(
             "kinds-differ",
-            f"{quoted(node.span)} compares what cannot be compared",
+            f"{quote_source(node.span)} compares what cannot be compared",
             node.span,
             "compare numbers, states, items or agents",
         )
     else:
-        disagree(scope.report, node.op, node.span, (left_node, left), (right_node, right))
+        report_disagreement(scope.report, node.op, node.span, (left_node, left), (right_node, right))
     return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
 
 
 def _compare(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
-    if left.type.kind is Kind.NUMBER and fits(left.type, right.type):
+    if left.type.kind is Kind.NUMBER and is_compatible(left.type, right.type):
         return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
     if left.type.kind is Kind.NUMBER or right.type.kind is Kind.NUMBER:
-        disagree(scope.report, node.op, node.span, (node.left, left), (node.right, right))
+        report_disagreement(scope.report, node.op, node.span, (node.left, left), (node.right, right))
     else:
-        mismatch(scope.report, node.left, left.type, NUMBER, f"`{node.op}`")
+        report_mismatch(scope.report, node.left, left.type, NUMBER, f"`{node.op}`")
     return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
 
 
 def _sum(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
-    if left.type.kind in (Kind.NUMBER, Kind.VECTOR) and fits(left.type, right.type):
+    if left.type.kind in (Kind.NUMBER, Kind.VECTOR) and is_compatible(left.type, right.type):
         return fold(scope.report, op(SIGN_OPS[node.op], left.type, node.span, left, right))
     odd = next(
         ((n, e) for n, e in ((node.left, left), (node.right, right)) if e.type.kind not in (Kind.NUMBER, Kind.VECTOR)), None
     )
     if odd is not None:
-        mismatch(scope.report, odd[0], odd[1].type, NUMBER, f"`{node.op}`")
+        report_mismatch(scope.report, odd[0], odd[1].type, NUMBER, f"`{node.op}`")
     else:
-        disagree(scope.report, node.op, node.span, (node.left, left), (node.right, right))
-    return bad(node.span)
+        report_disagreement(scope.report, node.op, node.span, (node.left, left), (node.right, right))
+    return bad_expression(node.span)
 
 
-def _operands(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> bool:
+def _check_operands(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> bool:
     """Whether both are numbers or vectors; complains about the first that is not."""
     for part, expr in ((node.left, left), (node.right, right)):
         if expr.type.kind not in (Kind.NUMBER, Kind.VECTOR):
-            mismatch(scope.report, part, expr.type, NUMBER, f"`{node.op}`")
+            report_mismatch(scope.report, part, expr.type, NUMBER, f"`{node.op}`")
             return False
     return True
 
 
 def _product(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
-    if not _operands(scope, node, left, right):
-        return bad(node.span)
+    if not _check_operands(scope, node, left, right):
+        return bad_expression(node.span)
     vectors = [e for e in (left, right) if e.type.kind is Kind.VECTOR]
     if len(vectors) == 2:
         scope.report.error(
             "wrong-kind",
-            f"{quoted(node.span)} multiplies two vectors",
+            f"{quote_source(node.span)} multiplies two vectors",
             node.op_span,
             "write `dot(a, b)` for a number or `cross(a, b)` for a vector",
         )
-        return bad(node.span)
-    type = Type(Kind.VECTOR if vectors else Kind.NUMBER, product(left.type.dim, right.type.dim))
+        return bad_expression(node.span)
+    type = Type(Kind.VECTOR if vectors else Kind.NUMBER, combine_dimensions(left.type.dim, right.type.dim))
     return fold(scope.report, op("mul", type, node.span, left, right))
 
 
 def _quotient(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
-    if not _operands(scope, node, left, right):
-        return bad(node.span)
+    if not _check_operands(scope, node, left, right):
+        return bad_expression(node.span)
     if right.type.kind is Kind.VECTOR:
         scope.report.error(
             "wrong-kind",
-            f"{quoted(node.span)} divides by a vector",
+            f"{quote_source(node.span)} divides by a vector",
             node.op_span,
-            f"divide by its length: `length({quoted(node.right.span).strip('`')})`",
+            f"divide by its length: `length({quote_source(node.right.span).strip('`')})`",
         )
-        return bad(node.span)
-    type = Type(left.type.kind, product(left.type.dim, right.type.dim, -1))
+        return bad_expression(node.span)
+    type = Type(left.type.kind, combine_dimensions(left.type.dim, right.type.dim, -1))
     return fold(scope.report, op("div", type, node.span, left, right))
 
 
 def _power(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
     if left.type.kind is not Kind.NUMBER:
-        mismatch(scope.report, node.left, left.type, NUMBER, "`^`")
-        return bad(node.span)
+        report_mismatch(scope.report, node.left, left.type, NUMBER, "`^`")
+        return bad_expression(node.span)
     if right.type != NUMBER:
-        mismatch(scope.report, node.right, right.type, NUMBER, "`^`")
-        return bad(node.span)
+        report_mismatch(scope.report, node.right, right.type, NUMBER, "`^`")
+        return bad_expression(node.span)
     exponent = constant_behind(right)
     if left.type.dim != NUMBER.dim and exponent is None:
         scope.report.error(
             "wrong-unit",
-            f"{quoted(node.left.span)} is {type_words(left.type)}, so its power must be a plain number",
+            f"{quote_source(node.left.span)} is {type_words(left.type)}, so its power must be a plain number",
             node.right.span,
             "write `^ 2`",
         )
-        return bad(node.span)
-    dim = scaled(left.type.dim, exponent.number) if exponent else left.type.dim
+        return bad_expression(node.span)
+    dim = scale_dimension(left.type.dim, exponent.number) if exponent else left.type.dim
     return fold(scope.report, op("pow", Type(Kind.NUMBER, dim), node.span, left, right))
 
 
@@ -367,7 +381,7 @@ _ARITHMETIC = {"+": _sum, "-": _sum, "*": _product, "/": _quotient, "^": _power}
 
 def if_else(scope: Scope, node: nodes.IfElse, want: Type | None) -> Expr:
     test = condition(scope, node.condition, "`if`")
-    inner = scope.inside(no_keep="under `if` it would not be clear when it moves on")
+    inner = scope.with_changes(no_keep="under `if` it would not be clear when it moves on")
     bare = isinstance(node.then, nodes.NoneOf) and node.then.of is None
     if bare:
         otherwise = value(inner, node.otherwise, want)
@@ -375,9 +389,9 @@ def if_else(scope: Scope, node: nodes.IfElse, want: Type | None) -> Expr:
     else:
         then = value(inner, node.then, want)
         otherwise = value(inner, node.otherwise, then.type)
-    if not fits(then.type, otherwise.type):
-        disagree(scope.report, "if … then … else", node.span, (node.then, then), (node.otherwise, otherwise))
-        return bad(node.span)
+    if not is_compatible(then.type, otherwise.type):
+        report_disagreement(scope.report, "if … then … else", node.span, (node.then, then), (node.otherwise, otherwise))
+        return bad_expression(node.span)
     type = otherwise.type if then.type.kind is Kind.BAD else then.type
     if type.kind in THINGS or type.kind is Kind.SET:
         scope.report.error(
@@ -386,5 +400,5 @@ def if_else(scope: Scope, node: nodes.IfElse, want: Type | None) -> Expr:
             node.span,
             "choose between values: numbers, vectors, items, agents",
         )
-        return bad(node.span)
+        return bad_expression(node.span)
     return op("if", type, node.span, test, then, otherwise)

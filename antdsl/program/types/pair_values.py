@@ -3,44 +3,44 @@
 from __future__ import annotations
 
 from antdsl.program.model import Attribute, AttributeDecl, Binding, Expr, Kind, Rate, SetOf, Type
-from antdsl.program.names.scope import Scope, bad
-from antdsl.program.types.descriptions import fits, mismatch, quoted, type_words
+from antdsl.program.names.scope import Scope, bad_expression
+from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
 from antdsl.program.types.folding import constant_behind
-from antdsl.program.types.sets import complete_set, for_each
+from antdsl.program.types.sets import complete_set, element_scope
 from antdsl.syntax import nodes
 
 
 def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
     """`likes[other]`: the agent's own value about another agent."""
     species, owner = scope.species, node.owner
-    index = scope.typed(node.index)
+    index = scope.type_expression(node.index)
     if isinstance(owner, nodes.NameRef) and species is not None and scope.behaviour is None and owner.name.text in species.each:
         name = owner.name.text
-        scope.use("attribute", f"{species.name}.{name}")
+        scope.mark_used("attribute", f"{species.name}.{name}")
         scope.bind(owner.span, "own", species.name, name)
         expected = Type(Kind.AGENT, of=species.each[name])
-        if not fits(index.type, expected):
-            mismatch(scope.report, node.index, index.type, expected, f"`{name}[…]`")
+        if not is_compatible(index.type, expected):
+            report_mismatch(scope.report, node.index, index.type, expected, f"`{name}[…]`")
         return Attribute(species.attributes[name], max(index.rate, Rate.AGENT), node.span, index, name)
-    if scope.typed(owner).type.kind is Kind.BAD:
-        return bad(node.span)
+    if scope.type_expression(owner).type.kind is Kind.BAD:
+        return bad_expression(node.span)
     scope.report.error(
         "wrong-kind",
-        f"{quoted(owner.span)} has no value per agent",
+        f"{quote_source(owner.span)} has no value per agent",
         node.span,
         "a value per pair is declared so: `likes = 0 for each roach, strongest 8`",
     )
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
 def pair_of(scope: Scope, node: nodes.PairOf, want: Type | None) -> Expr:
     scope.report.error(
         "not-yet", "`… to …` as a pair of two things does not work yet", node.span, "a value per pair is written `likes[other]`"
     )
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
-def resting(scope: Scope, attribute: AttributeDecl, to: Expr | None) -> None:
+def check_pair_value(scope: Scope, attribute: AttributeDecl, to: Expr | None) -> None:
     """Report a value per pair that is no number, that does not begin equal about all agents, or that returns to something else.
     Agents without a stored value have the initial one for ever."""
     name, default = attribute.name, attribute.default
@@ -54,37 +54,38 @@ def resting(scope: Scope, attribute: AttributeDecl, to: Expr | None) -> None:
         )  # fmt: skip
     elif default.rate > Rate.RUN:
         scope.report.error(
-            "wrong-rate", f"`{name}` begins with {quoted(default.span)}, and it has to begin the same about all", default.span,
+            "wrong-rate", f"`{name}` begins with {quote_source(default.span)}, and it has to begin the same about all",
+            default.span,
             "write a number or a param, and set it where they meet",
         )  # fmt: skip
-    elif to is not None and to.type.kind is not Kind.BAD and not _alike(default, to):
+    elif to is not None and to.type.kind is not Kind.BAD and not _is_same(default, to):
         scope.report.error(
-            "wrong-argument", f"`{name}` begins at {text} for all others, and cannot return to {quoted(to.span)}", to.span,
+            "wrong-argument", f"`{name}` begins at {text} for all others, and cannot return to {quote_source(to.span)}", to.span,
             f"write `relax to {text}`",
         )  # fmt: skip
 
 
-def _alike(one: Expr, other: Expr) -> bool:
+def _is_same(one: Expr, other: Expr) -> bool:
     known = [constant_behind(each) for each in (one, other)]
     if known[0] is not None and known[1] is not None:
         return (known[0].number, known[0].u, known[0].step) == (known[1].number, known[1].u, known[1].step)
     return " ".join(one.span.text.split()) == " ".join(other.span.text.split())
 
 
-def each_of(scope: Scope, node: nodes.IndexAll) -> tuple[Attribute, SetOf, Binding, Scope] | None:
+def pair_values_of(scope: Scope, node: nodes.IndexAll) -> tuple[Attribute, SetOf, Binding, Scope] | None:
     """Return the parts of `likes[n in SET]`: the value, the set, the binding of an element, and its scope; None after an
     error."""
-    over = scope.typed(node.over)
+    over = scope.type_expression(node.over)
     if over.type.kind in (Kind.SPECIES, Kind.ITEMS):
         over = complete_set(over)
     if not isinstance(over, SetOf):
         if over.type.kind is not Kind.BAD:
             scope.report.error(
-                "wrong-kind", f"`… in …` goes over a set, and {quoted(over.span)} is {type_words(over.type)}", over.span,
+                "wrong-kind", f"`… in …` goes over a set, and {quote_source(over.span)} is {type_words(over.type)}", over.span,
                 "write a set, such as `neighbours(20 mm)`",
             )  # fmt: skip
         return None
-    element, inner = for_each(scope, over, node.variable)
+    element, inner = element_scope(scope, over, node.variable)
     index = nodes.Index(node.owner, nodes.NameRef(node.variable, node.variable.span), node.span)
     checked = index_of(inner, index, None)
     return (checked, over, element, inner) if isinstance(checked, Attribute) else None

@@ -18,7 +18,7 @@ RULES: Mapping[type, Callable[..., Expr]] = {
     nodes.RangeExpr: expressions.range_of,
     nodes.PairOf: pair_values.pair_of,
     nodes.BadExpr: expressions.bad_expr,
-    expressions.Known: expressions.known,
+    expressions.TypedArgument: expressions.typed_argument,
     nodes.Unary: operators.unary,
     nodes.Binary: operators.binary,
     nodes.IsNone: operators.is_none,

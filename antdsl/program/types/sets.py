@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from antdsl.program.model import Binding, Const, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
-from antdsl.program.names.scope import BOOL, LENGTH, NUMBER, Scope, bad, type_from_words
-from antdsl.program.tables.defaults import default_of
+from antdsl.program.names.scope import BOOL, LENGTH, NUMBER, Scope, bad_expression, type_from_words
+from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.traverse import bindings_in
-from antdsl.program.types.arguments import Slot, arranged, nearest_of, one_of, type_all
-from antdsl.program.types.descriptions import mismatch, quoted, type_words
+from antdsl.program.types.arguments import Slot, arrange_arguments, element_type, nearest_of, type_arguments
+from antdsl.program.types.descriptions import quote_source, report_mismatch, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, count, value, value_of_type
 from antdsl.syntax import nodes
@@ -19,33 +19,33 @@ _THINGS = (Kind.ITEMS, Kind.SPECIES)
 
 
 def _arguments(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> dict[str, list[nodes.Argument]] | None:
-    arguments_by_slot = arranged(
+    arguments_by_slot = arrange_arguments(
         scope, name, [Slot(a.name, a.default is None and not a.optional, a.variadic) for a in row.args], node
     )
     if arguments_by_slot is None:
-        type_all(scope, node)
+        type_arguments(scope, node)
     return arguments_by_slot
 
 
-def _plain(
+def _optional_value(
     scope: Scope, called: str, arg: Arg, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
     """An argument that is a value, or its default, or None."""
     written = arguments_by_slot.get(arg.name)
     if written is None:
-        return default_of(scope, arg.default, node.span)[0] if arg.default else None
+        return default_values(scope, arg.default, node.span)[0] if arg.default else None
     return value_of_type(scope, written[0].value, type_from_words(arg.type) or NUMBER, f"`{arg.name}` of `{called}`")
 
 
 def _things(scope: Scope, called: str, node: nodes.Expr, kinds: tuple[Kind, ...]) -> Expr | None:
-    expr = scope.typed(node)
+    expr = scope.type_expression(node)
     if expr.type.kind in kinds:
         return expr
     if expr.type.kind is not Kind.BAD:
         names = "items or a species" if kinds == _THINGS else "a species"
         scope.report.error(
             "wrong-kind",
-            f"`{called}` looks for {names}, and {quoted(node.span)} is {type_words(expr.type)}",
+            f"`{called}` looks for {names}, and {quote_source(node.span)} is {type_words(expr.type)}",
             node.span,
             f"write a name of {names}",
         )
@@ -60,19 +60,19 @@ def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     """Type `neighbours(radius, fov, of:)`: others of the agent's species, or of another."""
     arguments_by_slot = _arguments(scope, node, name, row)
     if arguments_by_slot is None:
-        return bad(node.span)
-    radius, fov = (_plain(scope, name, arg, arguments_by_slot, node) for arg in row.args[:2])
+        return bad_expression(node.span)
+    radius, fov = (_optional_value(scope, name, arg, arguments_by_slot, node) for arg in row.args[:2])
     of = scope.species.name if scope.species else None
     if "of" in arguments_by_slot:
         species = _things(scope, name, arguments_by_slot["of"][0].value, (Kind.SPECIES,))
         if species is None:
-            return bad(node.span)
+            return bad_expression(node.span)
         of = species.type.of
     elif scope.behaviour is None and scope.species is None:
         scope.report.error("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
-        return bad(node.span)
+        return bad_expression(node.span)
     _check_reach(scope, radius, node)
-    most = _most(scope, name, row, arguments_by_slot, node)
+    most = _count_limit(scope, name, row, arguments_by_slot, node)
     element = element_of(Type(Kind.AGENT, Dim(), of), "it", node)
     return SetOf(Type(Kind.SET, Dim(), of), Rate.AGENT, node.span, "neighbours", of or "", (radius, fov, most), element, None)
 
@@ -88,33 +88,34 @@ def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
         )
 
 
-def _most(
+def _count_limit(
     scope: Scope, called: str, row: Builtin, arguments_by_slot: dict[str, list[nodes.Argument]], node: nodes.Call
 ) -> Expr | None:
     """Return how many of the nearest elements of a set count at most. A known value must be whole and at least 1."""
     arg = next((arg for arg in row.args if arg.name == "most"), None)
-    most = _plain(scope, called, arg, arguments_by_slot, node) if arg is not None else None
+    most = _optional_value(scope, called, arg, arguments_by_slot, node) if arg is not None else None
     known = constant_behind(most) if most is not None else None
     if known is not None and (known.number < 1 or known.number != int(known.number)):
         scope.report.error(
-            "out-of-range", f"`most` of `{called}` is how many count, not {quoted(arguments_by_slot['most'][0].value.span)}",
+            "out-of-range",
+            f"`most` of `{called}` is how many count, not {quote_source(arguments_by_slot['most'][0].value.span)}",
             arguments_by_slot["most"][0].value.span, "write a whole number, 1 or more: `most: 3`",
         )  # fmt: skip
     return most
 
 
-def every(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
+def all_of(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     """`all(X, within:, with:)`."""
     arguments_by_slot = _arguments(scope, node, name, row)
     things = _things(scope, name, arguments_by_slot["of"][0].value, _THINGS) if arguments_by_slot else None
     if arguments_by_slot is None or things is None:
-        return bad(node.span)
-    within = _plain(scope, name, row.args[1], arguments_by_slot, node)
-    element = element_of(one_of(things.type), "it", node)
+        return bad_expression(node.span)
+    within = _optional_value(scope, name, row.args[1], arguments_by_slot, node)
+    element = element_of(element_type(things.type), "it", node)
     where = None
     if "with" in arguments_by_slot:
-        where = condition(_within_set(scope, element).inside(element=element), arguments_by_slot["with"][0].value, "`with`")
-    most = _most(scope, name, row, arguments_by_slot, node)
+        where = condition(_within_set(scope, element).with_changes(element=element), arguments_by_slot["with"][0].value, "`with`")
+    most = _count_limit(scope, name, row, arguments_by_slot, node)
     set_expr = SetOf(
         Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, node.span, "all", things.type.of or "", (within, most), element, where
     )
@@ -123,14 +124,14 @@ def every(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
 
 
 def _within_set(scope: Scope, element: Binding) -> Scope:
-    return scope.inside(sets=(*scope.sets, element), no_keep="inside a set it would not be clear which agent remembers")
+    return scope.with_changes(sets=(*scope.sets, element), no_keep="inside a set it would not be clear which agent remembers")
 
 
 def nearest(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     """`nearest(X, within:, with:)`, or `nearest(SET)`."""
     first = node.arguments[0].value if len(node.arguments) == 1 and isinstance(node.arguments[0], nodes.Argument) else None
     if isinstance(first, (nodes.Call, nodes.NameRef)):
-        expr = scope.typed(first)
+        expr = scope.type_expression(first)
         if isinstance(expr, SetOf):
             return _nearest_of_set(expr, node)
         if expr.type.kind in _THINGS:
@@ -138,12 +139,12 @@ def nearest(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
         if expr.type.kind is not Kind.BAD:
             scope.report.error(
                 "wrong-kind",
-                f"`nearest` looks for items, a species or a set, and {quoted(first.span)} is {type_words(expr.type)}",
+                f"`nearest` looks for items, a species or a set, and {quote_source(first.span)} is {type_words(expr.type)}",
                 first.span,
                 "write `nearest(food)` or `nearest(neighbours(20 mm))`",
             )
-        return bad(node.span)
-    over = every(scope, node, name, row)
+        return bad_expression(node.span)
+    over = all_of(scope, node, name, row)
     return _nearest_of_set(over, node) if isinstance(over, SetOf) else over
 
 
@@ -155,24 +156,24 @@ def feelers(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     """`feelers(X, count, spread, reach)`: rays ahead and to either side; the hits."""
     arguments_by_slot = _arguments(scope, node, name, row)
     if arguments_by_slot is None:
-        return bad(node.span)
-    target = scope.typed(arguments_by_slot["on"][0].value)
+        return bad_expression(node.span)
+    target = scope.type_expression(arguments_by_slot["on"][0].value)
     if target.type.kind not in (Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.BAD):
-        mismatch(scope.report, arguments_by_slot["on"][0].value, target.type, Type(Kind.OBSTACLE), f"`on` of `{name}`")
-        return bad(node.span)
+        report_mismatch(scope.report, arguments_by_slot["on"][0].value, target.type, Type(Kind.OBSTACLE), f"`on` of `{name}`")
+        return bad_expression(node.span)
     how_many = (
         count(scope, arguments_by_slot["count"][0].value, f"`count` of `{name}`")
         if "count" in arguments_by_slot
-        else default_of(scope, row.args[1].default or "3", node.span)[0]
+        else default_values(scope, row.args[1].default or "3", node.span)[0]
     )
-    spread, reach = (_plain(scope, name, arg, arguments_by_slot, node) for arg in row.args[2:])
+    spread, reach = (_optional_value(scope, name, arg, arguments_by_slot, node) for arg in row.args[2:])
     element = element_of(Type(Kind.HIT), "it", node)
     of = target.type.of or ""
     return SetOf(Type(Kind.SET, Dim(), "hit"), Rate.AGENT, node.span, "feelers", of, (how_many, spread, reach), element, None)
 
 
 SETS: dict[str, Callable[[Scope, nodes.Call, str, Builtin], Expr]] = {
-    "neighbours": neighbours, "all": every, "nearest": nearest, "feelers": feelers,
+    "neighbours": neighbours, "all": all_of, "nearest": nearest, "feelers": feelers,
 }  # fmt: skip
 
 
@@ -183,21 +184,21 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
     """`sum(n in SET: …)` and its like; `count(SET)` and `any(SET)` need no body."""
     argument = node.arguments[0]
     if isinstance(argument, nodes.Comprehension):
-        over = scope.typed(argument.over)
+        over = scope.type_expression(argument.over)
         if over.type.kind in _THINGS:
             over = complete_set(over)
         variable: nodes.Name | None = argument.variable
     else:
-        over, variable = scope.typed(argument.value), None
+        over, variable = scope.type_expression(argument.value), None
     if not isinstance(over, SetOf):
         if over.type.kind is not Kind.BAD:
             scope.report.error(
                 "wrong-kind",
-                f"`{how}` goes over a set, and {quoted(over.span)} is {type_words(over.type)}",
+                f"`{how}` goes over a set, and {quote_source(over.span)} is {type_words(over.type)}",
                 over.span,
                 "write a set, such as `neighbours(20 mm)` or `all(food)`",
             )
-        return bad(node.span)
+        return bad_expression(node.span)
     if variable is None or not isinstance(argument, nodes.Comprehension):
         if how not in ("count", "any"):
             scope.report.error(
@@ -206,27 +207,27 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
                 node.span,
                 f"write `{how}(n in {' '.join(over.span.text.split())}: …)`",
             )
-            return bad(node.span)
+            return bad_expression(node.span)
         element = over.element
         body: Expr = Const(BOOL, Rate.CONST, node.span, 1.0)
     else:
-        element, inner = for_each(scope, over, variable)
-        body = body_of(inner, how, argument.body)
-    reduction = Reduce(_result(how, body, element), Rate.AGENT, node.span, how, over, element, body)
+        element, inner = element_scope(scope, over, variable)
+        body = reduction_body(inner, how, argument.body)
+    reduction = Reduce(_result_type(how, body, element), Rate.AGENT, node.span, how, over, element, body)
     _check_nesting(scope, reduction, node)
     return reduction
 
 
-def for_each(scope: Scope, over: SetOf, variable: nodes.Name) -> tuple[Binding, Scope]:
+def element_scope(scope: Scope, over: SetOf, variable: nodes.Name) -> tuple[Binding, Scope]:
     """Return the binding of a name to each element of a set, and the scope in which it is visible."""
     element = element_of(over.element.type, variable.text, variable)
     _check_shadow(scope, variable)
-    return element, _within_set(scope, element).inside(locals={**scope.locals, variable.text: element})
+    return element, _within_set(scope, element).with_changes(locals={**scope.locals, variable.text: element})
 
 
 def complete_set(things: Expr) -> SetOf:
     """Return `food` as a set: all of it."""
-    element = Binding("it", "element", one_of(things.type), Rate.ELEMENT, things.span)
+    element = Binding("it", "element", element_type(things.type), Rate.ELEMENT, things.span)
     return SetOf(
         Type(Kind.SET, Dim(), things.type.of), Rate.AGENT, things.span, "all", things.type.of or "", (None,), element, None
     )
@@ -248,7 +249,7 @@ def _check_shadow(scope: Scope, variable: nodes.Name) -> None:
         )
 
 
-def body_of(scope: Scope, how: str, node: nodes.Expr) -> Expr:
+def reduction_body(scope: Scope, how: str, node: nodes.Expr) -> Expr:
     """Return the body of a reduction: a bool to count, or a number (for sums also a vector)."""
     if how in ("count", "any", "every"):
         return condition(scope, node, f"`{how}`")
@@ -259,22 +260,22 @@ def body_of(scope: Scope, how: str, node: nodes.Expr) -> Expr:
     if expr.type.kind is Kind.BOOL and how in ("sum", "mean"):
         scope.report.error(
             "wrong-kind",
-            f"`{how}` adds numbers, and {quoted(node.span)} is a yes or no",
+            f"`{how}` adds numbers, and {quote_source(node.span)} is a yes or no",
             node.span,
             "`count` counts for how many it holds",
         )
     else:
-        mismatch(
+        report_mismatch(
             scope.report,
             node,
             expr.type,
             LENGTH if how in ("min", "max", "best") and expr.type.dim == LENGTH.dim else NUMBER,
             f"`{how}`",
         )
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
-def _result(how: str, body: Expr, element: Binding) -> Type:
+def _result_type(how: str, body: Expr, element: Binding) -> Type:
     if how == "count":
         return NUMBER
     if how in ("any", "every"):
@@ -290,6 +291,7 @@ def _check_nesting(scope: Scope, expr: Expr, node: nodes.Call) -> None:
     outer = next((element for element in scope.sets if element in used), None)
     if outer is not None:
         scope.report.error(
-            "set-in-set", f"{quoted(node.span)} would look at the neighbours of neighbours, through `{outer.name}`", node.span,
+            "set-in-set", f"{quote_source(node.span)} would look at the neighbours of neighbours, through `{outer.name}`",
+            node.span,
             "store the inner result in an attribute, and read that",
         )  # fmt: skip

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.program.model import Attribute, ClipTest, Expr, Kind, Rate, StateConst, Thing, Type
-from antdsl.program.names.scope import BOOL, TIME, MachineNames, Scope, bad, did_you_mean, is_known_missing, listed
+from antdsl.program.model import Attribute, ClipTest, Expr, Kind, Rate, StateConst, ThingRef, Type
+from antdsl.program.names.scope import BOOL, TIME, MachineNames, Scope, bad_expression, did_you_mean, is_known_missing, list_names
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 STATE_WORDS = ("state", "previous", "next", "time_in_state")
 
 
-def machine_named(scope: Scope, owner: nodes.Expr) -> MachineNames | None:
+def find_machine(scope: Scope, owner: nodes.Expr) -> MachineNames | None:
     if (
         scope.species is None
         or scope.behaviour is not None
@@ -22,7 +22,7 @@ def machine_named(scope: Scope, owner: nodes.Expr) -> MachineNames | None:
     return scope.species.machines.get(owner.name.text)
 
 
-def of_machine(scope: Scope, machine: MachineNames, node: nodes.Member) -> Expr:
+def machine_value(scope: Scope, machine: MachineNames, node: nodes.Member) -> Expr:
     word = node.name.text
     if word in STATE_WORDS:
         return _machine_word(machine, None, word, node.span)
@@ -30,16 +30,16 @@ def of_machine(scope: Scope, machine: MachineNames, node: nodes.Member) -> Expr:
         "unknown-name",
         f"machine `{machine.name}` has no `{word}`",
         node.name.span,
-        did_you_mean(word, STATE_WORDS, f"there is {listed(STATE_WORDS)}"),
+        did_you_mean(word, STATE_WORDS, f"there is {list_names(STATE_WORDS)}"),
     )
-    return bad(node.span)
+    return bad_expression(node.span)
 
 
 def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_span: Span | None) -> Expr:
     """Type `state` and similar words, of the agent itself or of another. With several machines: that of this place in the text,
     or the first."""
     names = scope.species if owner is None or owner.type.of is None else scope.declared.species.get(owner.type.of)
-    if isinstance(owner, Thing) and owner.name == "self":
+    if isinstance(owner, ThingRef) and owner.name == "self":
         owner = None
     if names is None or not names.machines:
         scope.report.error(
@@ -48,7 +48,7 @@ def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_spa
             name_span or span,
             "only a species that is checked together with this one has states to ask for",
         )
-        return bad(span)
+        return bad_expression(span)
     machine = scope.machine if owner is None and scope.machine is not None else next(iter(names.machines.values()))
     return _machine_word(machine, owner, word, span)
 
@@ -59,7 +59,7 @@ def _machine_word(machine: MachineNames, owner: Expr | None, word: str, span: Sp
     return Attribute(type, rate, span, owner, f"{machine.name}.{word}")
 
 
-def state_named(scope: Scope, operand: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
+def find_state(scope: Scope, operand: Expr, node: nodes.Expr) -> tuple[Expr, Expr] | None:
     """Return, for `state == carry`, the compared value and the state, in the machine that has that state; None if `node` is no
     bare name."""
     if not isinstance(node, nodes.NameRef) or not isinstance(operand, Attribute) or node.name.text in STATE_WORDS:
@@ -77,16 +77,16 @@ def state_named(scope: Scope, operand: Expr, node: nodes.Expr) -> tuple[Expr, Ex
                 Type(Kind.STATE, of=machine.key), Rate.CONST, node.span, machine.key, index
             )
     known = [state for machine in order for state in machine.states]
-    unknown_state(scope, node.name, species, known)
-    return operand, bad(node.span)
+    report_unknown_state(scope, node.name, species, known)
+    return operand, bad_expression(node.span)
 
 
-def unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]) -> str | None:
+def report_unknown_state(scope: Scope, name: nodes.Name, species: str, known: list[str]) -> str | None:
     """Report an unknown state name. Return the state that was probably meant, to continue with."""
     meant = nearest_name(name.text, known)
     if is_known_missing(scope, "state", name, species):
         return meant
-    advice = did_you_mean(name.text, known, f"`{species}` has the states {listed(known)}" if known else None)
+    advice = did_you_mean(name.text, known, f"`{species}` has the states {list_names(known)}" if known else None)
     scope.report.error("unknown-state", f"no state `{name.text}` in species `{species}`", name.span, advice)
     return meant
 
@@ -98,12 +98,12 @@ def clip_test(scope: Scope, node: nodes.ClipTest, want: Type | None) -> Expr:
         scope.report.error(
             "unknown-name", "no clip is known here", node.span, "ask in a state of a species, `when clip done -> …`"
         )
-        return bad(node.span)
+        return bad_expression(node.span)
     if not node.at and node.name.text != "done":
         scope.report.error(
             "unknown-name", f"`clip {node.name.text}` says nothing of a clip", node.span,
             f"write `clip done`, or for a mark `clip at {node.name.text}`",
         )  # fmt: skip
-        return bad(node.span)
+        return bad_expression(node.span)
     machine = scope.machine or next(iter(names.machines.values()))
     return ClipTest(BOOL, Rate.AGENT, node.span, machine.name, node.name.text if node.at else "")

@@ -14,8 +14,8 @@ from typing import Any
 from antdsl.numerics.elementwise import ELEMENTWISE, UFUNCS
 from antdsl.plan import ir
 from antdsl.plan.registers import cacheable_senses, early_loads, written
-from antdsl.plan.traverse import needed, operands, placed
-from antdsl.runtime.pairs import only_the_nearest
+from antdsl.plan.traverse import operands, placed, required_nodes
+from antdsl.runtime.pairs import is_nearest_only
 from antdsl.runtime.world import DTYPES
 from antdsl.source import Span
 
@@ -25,7 +25,7 @@ Make = Callable[[int, tuple[int, ...], "int | None"], Run]  # of the slots of a 
 WORLD, POPULATION, EFFECTS, BUFFERS, LAZY, PAIRS, THREADS, SPENT, FIRST_SLOT = 0, 1, 2, 3, 4, 5, 6, 7, 8
 
 
-class Does(Enum):
+class InstructionKind(Enum):
     """The kind of an instruction; `what` is its node or statement."""
 
     VALUE = "value"  # a node's value for the rows of the scope
@@ -45,7 +45,7 @@ class Instruction:
     """`dtype`: of the buffer it may write to (None: it makes its own array). `span` is the text that it works out, `layer` the
     number of the layer that it does so for first (-1: none)."""
 
-    does: Does
+    does: InstructionKind
     what: ir.Node | ir.Statement
     out: int
     inputs: tuple[int, ...]
@@ -91,7 +91,7 @@ class BlockCompiler:
         self.uniforms: dict[ir.Node, int] = {}
         self.slots = FIRST_SLOT
         self.lazy = frozenset(cacheable_senses(species)) if block != "born" else frozenset()
-        self.root = self._scope(None)
+        self.root = self._new_scope(None)
         self.buffers: dict[Any, int] = {}  # how many of each dtype
         self.changing: set[str] = set()  # registers that the block stores
         self.sets = sets  # of the species: in how many regions a set is used
@@ -103,13 +103,13 @@ class BlockCompiler:
         self.slots += 1
         return self.slots - 1
 
-    def _scope(self, parent: Scope | None) -> Scope:
+    def _new_scope(self, parent: Scope | None) -> Scope:
         return Scope(parent, self.slot(), self.slot(), self.slot())
 
     def _emit(
         self,
         scope: Scope,
-        does: Does,
+        does: InstructionKind,
         what: ir.Node | ir.Statement,
         out: int,
         inputs: tuple[int, ...],
@@ -137,13 +137,13 @@ class BlockCompiler:
                 self.value(scope, node)
             inputs = tuple(self.value(scope, node) for node in operands(statement))
             if isinstance(statement, ir.If):
-                inner = self._scope(scope)
+                inner = self._new_scope(scope)
                 self._block(inner, statement.then, (*path, k))
                 self._layer = layer
                 if inner.code:
-                    self._emit(scope, Does.REGION, statement, -1, (inputs[0],), inner=inner)
+                    self._emit(scope, InstructionKind.REGION, statement, -1, (inputs[0],), inner=inner)
                 continue
-            self._emit(scope, Does.STATEMENT, statement, -1, inputs)
+            self._emit(scope, InstructionKind.STATEMENT, statement, -1, inputs)
 
     def _layers_of(self, block: ir.Block) -> list[int]:
         """Return the layer with the line of each statement. What a behaviour remembers is in another file, and is written before
@@ -164,12 +164,12 @@ class BlockCompiler:
     def value(self, scope: Scope, node: ir.Node, afresh: bool = False) -> int:
         """Return the slot of a node's value in a scope; emit what is missing. `afresh`: a stored node itself is computed."""
         if node.rate <= ir.Rate.STEP:
-            return self._uniform(node)
+            return self._uniform_slot(node)
         missing: set[ir.Node] = set()
         pending = [node]
         while pending:
             top = pending.pop()
-            if top in missing or top.rate <= ir.Rate.STEP or self._holder(scope, top) is not None:
+            if top in missing or top.rate <= ir.Rate.STEP or self._holding_scope(scope, top) is not None:
                 continue
             if top.rate == ir.Rate.AGENT and top.kind is not ir.Kind.SET:
                 missing.add(top)
@@ -178,26 +178,26 @@ class BlockCompiler:
             pending.extend(top.args)
         for each in sorted(missing, key=lambda n: n.number):
             if each in self.lazy and not (afresh and each is node):
-                self._keep(scope, each)
+                self._emit_lazy(scope, each)
             else:
-                self._plain(scope, each)
-        return self._known(scope, node)
+                self._emit_node(scope, each)
+        return self._known_slot(scope, node)
 
-    def _uniform(self, node: ir.Node) -> int:
+    def _uniform_slot(self, node: ir.Node) -> int:
         if node not in self.uniforms:
             self.uniforms[node] = self.slot()
         return self.uniforms[node]
 
     @staticmethod
-    def _holder(scope: Scope | None, node: ir.Node) -> Scope | None:
+    def _holding_scope(scope: Scope | None, node: ir.Node) -> Scope | None:
         while scope is not None and node not in scope.known:
             scope = scope.parent
         return scope
 
-    def _known(self, scope: Scope, node: ir.Node) -> int:
+    def _known_slot(self, scope: Scope, node: ir.Node) -> int:
         """Return the slot of a value that is known in this scope or an outer one; an outer value is gathered for this scope."""
         if node.rate <= ir.Rate.STEP:
-            return self._uniform(node)
+            return self._uniform_slot(node)
         holders = [scope]
         while node not in holders[-1].known:
             outer = holders[-1].parent
@@ -206,74 +206,74 @@ class BlockCompiler:
         for inner in reversed(holders[:-1]):
             assert inner.parent is not None
             inner.known[node] = slot = self.slot()
-            self._emit(inner, Does.GATHER, node, slot, (inner.parent.known[node],))
+            self._emit(inner, InstructionKind.GATHER, node, slot, (inner.parent.known[node],))
         return scope.known[node]
 
-    def _plain(self, scope: Scope, node: ir.Node) -> None:
+    def _emit_node(self, scope: Scope, node: ir.Node) -> None:
         """Emit one node with known operands."""
         if node.op.startswith("reduce."):
-            does, inputs = Does.REDUCE, self._reduction(scope, node)
+            does, inputs = InstructionKind.REDUCE, self._reduction(scope, node)
         else:
-            does, inputs = Does.VALUE, tuple(self._known(scope, a) for a in node.args)
+            does, inputs = InstructionKind.VALUE, tuple(self._known_slot(scope, a) for a in node.args)
         slot = self.slot()
         self._emit(scope, does, node, slot, inputs, DTYPES[node.kind] if node.op in UFUNCS else None)
         scope.known[node] = slot
 
-    def _keep(self, scope: Scope, node: ir.Node) -> None:
+    def _emit_lazy(self, scope: Scope, node: ir.Node) -> None:
         """Emit a lazy node: computed in a scope of the rows that lack it, stored for the step."""
-        inner = self._scope(scope)
+        inner = self._new_scope(scope)
         result = self.value(inner, node, afresh=True)
         slot = scope.known[node] = self.slot()
-        self._emit(scope, Does.KEEP, node, slot, (), inner=inner, result=result)
+        self._emit(scope, InstructionKind.KEEP, node, slot, (), inner=inner, result=result)
 
     # --- sets ----------------------------------------------------------------------------------------------------------
 
     def _reduction(self, scope: Scope, node: ir.Node) -> tuple[int, ...]:
-        pairs = self._pairs(scope, node.args[0])
+        pairs = self._pair_scope(scope, node.args[0])
         bodies = node.args[1:]
-        for each in needed(bodies):
+        for each in required_nodes(bodies):
             if each.rate == ir.Rate.PAIR and each not in pairs.known:
-                self._pair_value(scope, pairs, each)
-        return pairs.slot, *(self._in_pairs(scope, pairs, body) for body in bodies)
+                self._emit_pair_value(scope, pairs, each)
+        return pairs.slot, *(self._pair_slot(scope, pairs, body) for body in bodies)
 
-    def _pairs(self, scope: Scope, node: ir.Node) -> PairScope:
+    def _pair_scope(self, scope: Scope, node: ir.Node) -> PairScope:
         if node not in scope.pairs:
-            if node.op == "set.every" and not only_the_nearest(self._species, node):
+            if node.op == "set.every" and not is_nearest_only(self._species, node):
                 self.everybody.add(node.attrs[0])
-            inputs = tuple(self._known(scope, a) for a in node.args)
+            inputs = tuple(self._known_slot(scope, a) for a in node.args)
             pairs = scope.pairs[node] = PairScope(self.slot())
-            if self.name != "born" and all(part.op != "load" for part in needed((node,))):
+            if self.name != "born" and all(part.op != "load" for part in required_nodes((node,))):
                 self.sets[node] = self.sets.get(node, 0) + 1
-            self._emit(scope, Does.PAIRS, node, pairs.slot, inputs)
+            self._emit(scope, InstructionKind.PAIRS, node, pairs.slot, inputs)
         return scope.pairs[node]
 
-    def _in_pairs(self, scope: Scope, pairs: PairScope, node: ir.Node) -> int:
+    def _pair_slot(self, scope: Scope, pairs: PairScope, node: ir.Node) -> int:
         """Slot of a value over pairs; an agent's own is repeated for its pairs."""
         if node.rate <= ir.Rate.STEP:
-            return self._uniform(node)
+            return self._uniform_slot(node)
         if node in pairs.known:
             return pairs.known[node]
         slot = pairs.known[node] = self.slot()
-        self._emit(scope, Does.SPREAD, node, slot, (self._known(scope, node), pairs.slot))
+        self._emit(scope, InstructionKind.SPREAD, node, slot, (self._known_slot(scope, node), pairs.slot))
         return slot
 
-    def _pair_value(self, scope: Scope, pairs: PairScope, node: ir.Node) -> None:
-        inputs = tuple(self._in_pairs(scope, pairs, a) for a in node.args)
-        does = Does.BY_PAIR if node.op in ELEMENTWISE else Does.OF_PAIR
+    def _emit_pair_value(self, scope: Scope, pairs: PairScope, node: ir.Node) -> None:
+        inputs = tuple(self._pair_slot(scope, pairs, a) for a in node.args)
+        does = InstructionKind.BY_PAIR if node.op in ELEMENTWISE else InstructionKind.OF_PAIR
         slot = pairs.known[node] = self.slot()
-        self._emit(scope, does, node, slot, inputs if does is Does.BY_PAIR else (pairs.slot, *inputs))
+        self._emit(scope, does, node, slot, inputs if does is InstructionKind.BY_PAIR else (pairs.slot, *inputs))
 
 
 # --- buffers ---------------------------------------------------------------------------------------------------------
 
 
-def _linear(scope: Scope, order: list[tuple[Instruction, bool]]) -> None:
+def _flatten(scope: Scope, order: list[tuple[Instruction, bool]]) -> None:
     """List the instructions in execution order. One with an inner scope appears before that scope with False, and again after it
     with True."""
     for instruction in scope.code:
         order.append((instruction, False))
         if instruction.inner is not None:
-            _linear(instruction.inner, order)
+            _flatten(instruction.inner, order)
             order.append((instruction, True))
 
 
@@ -282,13 +282,13 @@ def bind_calls(compiler: BlockCompiler, maker: Callable[[Instruction, BlockCompi
 
     Linear scan over the execution order (M. Poletto and V. Sarkar, TOPLAS 21(5), 1999, p. 895); no region runs twice."""
     order: list[tuple[Instruction, bool]] = []
-    _linear(compiler.root, order)
+    _flatten(compiler.root, order)
     last: dict[int, int] = {}
     for position, (instruction, is_after) in enumerate(order):
         for slot in (instruction.result,) if is_after else instruction.inputs:
             last[slot] = position
     for instruction, is_after in reversed(order):
-        if instruction.does is Does.GATHER and not is_after:  # the result may be the input itself
+        if instruction.does is InstructionKind.GATHER and not is_after:  # the result may be the input itself
             (source,) = instruction.inputs
             last[source] = max(last[source], last.get(instruction.out, -1))
     free: dict[Any, list[int]] = {}

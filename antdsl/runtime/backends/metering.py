@@ -8,7 +8,7 @@ from time import perf_counter
 from antdsl.runtime.backends.compile import SPENT, BlockCompiler, Instruction, Run, Scope, Slots
 
 
-class Metered:
+class MeteredBlock:
     """A block with calls that are timed until `end`. `seconds` has a number for each of `instructions`: of a thread's time,
     reduced where threads run in parallel, so that their sum does not exceed the elapsed time."""
 
@@ -20,32 +20,32 @@ class Metered:
             first = len(self.instructions)
             self.instructions += scope.code  # in the order of `instructions_of`
             self._plain.append((scope, scope.calls))
-            scope.calls = [_timed(call, first + k) for k, call in enumerate(scope.calls)]
-        self.forget()
+            scope.calls = [_time_call(call, first + k) for k, call in enumerate(scope.calls)]
+        self.reset()
 
-    def forget(self) -> None:
+    def reset(self) -> None:
         """Count from nothing again."""
         self.seconds = [0.0] * len(self.instructions)
 
-    def lane(self) -> list[float]:
+    def new_lane(self) -> list[float]:
         """Return the counters of one chunk; the last number is the time of all calls inside the current one."""
         return [0.0] * (len(self.instructions) + 1)
 
-    def take(self, lanes: list[list[float]], passed: float) -> None:
+    def add_lanes(self, lanes: list[list[float]], passed: float) -> None:
         """Add the counters of the chunks in a run of the block that took `passed` seconds."""
         share = min(1.0, passed / max(sum(lane[-1] for lane in lanes), 1e-12))
         for lane in lanes:
             for k, seconds in enumerate(lane[:-1]):
                 self.seconds[k] += seconds * share
 
-    def end(self) -> None:
+    def stop(self) -> None:
         """The block's own calls again."""
         for scope, calls in self._plain:
             scope.calls = calls
 
 
 def instructions_of(root: Scope) -> list[Instruction]:
-    """Return the instructions of a scope and its inner scopes, in the order of `Metered`."""
+    """Return the instructions of a scope and its inner scopes, in the order of `MeteredBlock`."""
     return [each for scope in _scopes(root) for each in scope.code]
 
 
@@ -57,7 +57,7 @@ def _scopes(root: Scope) -> Iterator[Scope]:
         pending += [each.inner for each in scope.code if each.inner is not None]
 
 
-def _timed(call: Run, number: int) -> Run:
+def _time_call(call: Run, number: int) -> Run:
     def run(v: Slots) -> None:
         spent = v[SPENT]
         around, spent[-1] = spent[-1], 0.0

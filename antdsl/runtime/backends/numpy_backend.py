@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics.elementwise import ELEMENTWISE
-from antdsl.numerics.float_environment import be_standard
+from antdsl.numerics.float_environment import set_standard
 from antdsl.plan import ir
 from antdsl.plan.registers import cacheable_senses, statement_numbers
-from antdsl.plan.traverse import needed
+from antdsl.plan.traverse import required_nodes
 from antdsl.runtime.backends import numpy_calls
 from antdsl.runtime.backends.compile import (
     BUFFERS,
@@ -28,7 +28,7 @@ from antdsl.runtime.backends.compile import (
     BlockCompiler,
     bind_calls,
 )
-from antdsl.runtime.backends.metering import Metered
+from antdsl.runtime.backends.metering import MeteredBlock
 from antdsl.runtime.pairs import MOST_PAIRS
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.sensing import constant, uniform_leaf
@@ -57,7 +57,7 @@ class NumpyBackend:
                 compiler.compile(getattr(species, block))
                 bind_calls(compiler, numpy_calls.call)
             roots = tuple(node for block in BLOCKS for node in self._blocks[name, block].uniforms)
-            every = needed(roots)
+            every = required_nodes(roots)
             self._constants[name] = constant_values(node for node in every if node.rate is ir.Rate.CONST)
             self._of_run[name] = [node for node in every if node.rate is ir.Rate.RUN]
             self._uniforms[name] = [node for node in every if node.rate > ir.Rate.RUN]
@@ -70,7 +70,7 @@ class NumpyBackend:
         self._pairs: dict[str, dict[tuple[ir.Node, int], Any]] = {}
         self._buffers: list[dict[Any, list[NDArray[Any]]]] = []
         self._pool: ThreadPoolExecutor | None = None
-        self.metered: dict[tuple[str, str], Metered] = {}  # by species and block, while a Meter is active
+        self.metered: dict[tuple[str, str], MeteredBlock] = {}  # by species and block, while a Meter is active
 
     @property
     def blocks(self) -> Mapping[tuple[str, str], BlockCompiler]:
@@ -87,13 +87,13 @@ class NumpyBackend:
         if on == bool(self.metered):
             return
         for each in self.metered.values():
-            each.end()
-        self.metered = {key: Metered(compiler) for key, compiler in self._blocks.items()} if on else {}
+            each.stop()
+        self.metered = {key: MeteredBlock(compiler) for key, compiler in self._blocks.items()} if on else {}
 
     def begin(self, world: World) -> None:
         """Values of the step, and nothing sensed yet."""
         for name, population in world.populations.items():
-            self._values[name] = self._of_step(world, name)
+            self._values[name] = self._step_values(world, name)
             n = len(population) + self.spare
             self._pairs[name] = {}
             has = self._has.get(name)
@@ -111,7 +111,7 @@ class NumpyBackend:
         """Return an empty list: this backend runs everything as requested."""
         return []
 
-    def _of_step(self, world: World, species: str) -> dict[ir.Node, Any]:
+    def _step_values(self, world: World, species: str) -> dict[ir.Node, Any]:
         if self._run is None or self._run[0] is not world.setting or self._run[1] != world.params:
             self._run = (world.setting, dict(world.params))
             self._lasting = {name: uniform_values(world, nodes, self._constants[name]) for name, nodes in self._of_run.items()}
@@ -123,18 +123,18 @@ class NumpyBackend:
         if not compiler.root.calls:
             return
         if block == "born":
-            self._values[population.name] = self._of_step(world, population.name)
+            self._values[population.name] = self._step_values(world, population.name)
         chunks = self._chunks(world, population, compiler, rows)
         threads = min(world.options.threads, len(chunks))
         metered = self.metered.get((population.name, block))
-        spent = [None if metered is None else metered.lane() for _ in chunks]
+        spent = [None if metered is None else metered.new_lane() for _ in chunks]
         began = perf_counter()
         effects = [Effects() for _ in chunks]
         if threads <= 1:
             for chunk, into, times in zip(chunks, effects, spent, strict=True):
                 self._chunk(world, population, compiler, chunk, into, times, 0, True)
         else:
-            self._pool = self._pool or ThreadPoolExecutor(world.options.threads, "chunks", be_standard)
+            self._pool = self._pool or ThreadPoolExecutor(world.options.threads, "chunks", set_standard)
             lanes = [range(k, len(chunks), threads) for k in range(threads)]
 
             def lane(number: int) -> None:
@@ -143,9 +143,9 @@ class NumpyBackend:
 
             list(self._pool.map(lane, range(threads)))
         if metered is not None:
-            metered.take([times for times in spent if times is not None], perf_counter() - began)
+            metered.add_lanes([times for times in spent if times is not None], perf_counter() - began)
         for each in effects:
-            population.effects.take(each)
+            population.effects.extend(each)
 
     def _chunks(self, world: World, population: Population, compiler: BlockCompiler, rows: NDArray[np.intp] | None) -> list[Any]:
         size = max(1, world.options.chunk)

@@ -21,8 +21,8 @@ from antdsl.runtime.backends.compile import (
     THREADS,
     WORLD,
     BlockCompiler,
-    Does,
     Instruction,
+    InstructionKind,
     Make,
     Run,
     Scope,
@@ -38,20 +38,20 @@ def call(instruction: Instruction, compiler: BlockCompiler) -> Make:
     if not isinstance(what, ir.Node):
         return statement(instruction) if instruction.inner is None else region(scope, instruction.inner)
     match instruction.does:
-        case Does.VALUE | Does.BY_PAIR:
+        case InstructionKind.VALUE | InstructionKind.BY_PAIR:
             return elementwise(what) or leaf(what, compiler, scope)
-        case Does.GATHER:
+        case InstructionKind.GATHER:
             return gather(scope, what.kind is ir.Kind.TUPLE)
-        case Does.KEEP:
+        case InstructionKind.KEEP:
             assert instruction.inner is not None
             return keep(what, scope, instruction.inner, instruction.result)
-        case Does.PAIRS:
+        case InstructionKind.PAIRS:
             return pairs(what, compiler, scope)
-        case Does.SPREAD:
+        case InstructionKind.SPREAD:
             return spread
-        case Does.OF_PAIR:
+        case InstructionKind.OF_PAIR:
             return pair_leaf(what, scope)
-        case Does.REDUCE:
+        case InstructionKind.REDUCE:
             return reduction(what)
     raise AssertionError(f"no call for {instruction.does}")
 
@@ -238,9 +238,9 @@ def pairs(node: ir.Node, compiler: BlockCompiler, scope: Scope) -> Make:
             stored_pairs, chunk, mine = v[PAIRS], v[root], v[rows]
             known = stored_pairs.get((node, chunk.start)) if isinstance(chunk, slice) else None
             if known is not None:
-                v[out] = known if mine is chunk else known.of_rows(row_numbers(mine) - chunk.start)
+                v[out] = known if mine is chunk else known.select_rows(row_numbers(mine) - chunk.start)
                 return
-            v[out] = sets.find(v[WORLD], v[POPULATION], node, mine, tuple(v[a] for a in inputs), v[THREADS])
+            v[out] = sets.find_pairs(v[WORLD], v[POPULATION], node, mine, tuple(v[a] for a in inputs), v[THREADS])
             if mine is chunk and isinstance(chunk, slice) and shared.get(node, 0) > 1:
                 stored_pairs[node, chunk.start] = v[out]
 

@@ -20,18 +20,18 @@ def row_numbers(rows: Any) -> NDArray[np.intp]:
     return np.arange(rows.start, rows.stop) if isinstance(rows, slice) else rows
 
 
-def _each(v: Slots, scope: Scope, value: Any) -> NDArray[Any]:
+def _row_values(v: Slots, scope: Scope, value: Any) -> NDArray[Any]:
     """Return one value for each row, in a separate array, because buffers are reused."""
     return np.full(v[scope.size], value) if value.ndim == 0 else value.copy()
 
 
-def sound(value: NDArray[Any], infinite: bool) -> NDArray[np.bool_]:
+def is_storable(value: NDArray[Any], infinite: bool) -> NDArray[np.bool_]:
     """Return which values may be stored."""
     good: NDArray[np.bool_] = np.isfinite(value)
     return good | (value == np.inf) if infinite else good
 
 
-def _refuse(v: Slots, block: str, register: str, span: Any, rows: NDArray[np.intp]) -> None:
+def _record_fault(v: Slots, block: str, register: str, span: Any, rows: NDArray[np.intp]) -> None:
     v[EFFECTS].faults.append(FaultEntry(block, register, span, rows))
 
 
@@ -45,29 +45,31 @@ def _store(statement: ir.Store, block: str, scope: Scope) -> Make:
         def run(v: Slots) -> None:
             value, rows = v[a], v[scope.rows]
             target = v[POPULATION].now[name]
-            good = sound(value, infinite) if number else None
+            good = is_storable(value, infinite) if number else None
             if good is None or good.all():
                 target[rows] = value
                 return
             rows = row_numbers(rows)
             if value.ndim == 0:
-                _refuse(v, block, name, span, rows)
+                _record_fault(v, block, name, span, rows)
                 return
             target[rows[good]] = value[good]
-            _refuse(v, block, name, span, rows[~good])
+            _record_fault(v, block, name, span, rows[~good])
 
         return run
 
     return make
 
 
-def _amounts(v: Slots, scope: Scope, block: str, what: str, span: Any, value: Any) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
+def _finite_amounts(
+    v: Slots, scope: Scope, block: str, what: str, span: Any, value: Any
+) -> tuple[NDArray[np.intp], NDArray[Any], Any]:
     """Return the rows and values that are finite, and the mask of these rows within the scope. Records a fault for all others."""
-    rows, value = row_numbers(v[scope.rows]), _each(v, scope, value)
+    rows, value = row_numbers(v[scope.rows]), _row_values(v, scope, value)
     good = np.isfinite(value)
     if good.all():
         return rows, value, ALL
-    _refuse(v, block, what, span, rows[~good])
+    _record_fault(v, block, what, span, rows[~good])
     return rows[good], value[good], good
 
 
@@ -82,11 +84,11 @@ def _claim(statement: ir.Claim, block: str, scope: Scope, order: int) -> Make:
                 rows = row_numbers(v[scope.rows])
                 amount, good = np.full(len(rows), np.inf, np.float32), ALL
             else:
-                rows, amount, good = _amounts(v, scope, block, what, statement.span, v[much])
+                rows, amount, good = _finite_amounts(v, scope, block, what, statement.span, v[much])
             if which is None:
                 item = v[POPULATION].cells[statement.of][rows]
             else:
-                item = _each(v, scope, v[which])[good]
+                item = _row_values(v, scope, v[which])[good]
             v[EFFECTS].claims.append(ClaimEntry(statement, order, rows, item, amount))
 
         return run
@@ -98,12 +100,12 @@ def _give(statement: ir.Give, block: str, scope: Scope) -> Make:
     def make(out: int, inputs: tuple[int, ...], buffer: int | None) -> Run:
         def run(v: Slots) -> None:
             own = v[POPULATION].now[statement.own]
-            item = _each(v, scope, v[inputs[0]])
+            item = _row_values(v, scope, v[inputs[0]])
             if statement.amount is None:
                 rows = row_numbers(v[scope.rows])
                 amount = own[rows]
             else:
-                rows, amount, good = _amounts(v, scope, block, f"give {statement.own}", statement.span, v[inputs[1]])
+                rows, amount, good = _finite_amounts(v, scope, block, f"give {statement.own}", statement.span, v[inputs[1]])
                 item = item[good]
             has_item = (item >= 0) & (item < len(v[WORLD].items[statement.items]))
             rows, amount, item = rows[has_item], amount[has_item], item[has_item]
@@ -128,12 +130,12 @@ def _request(statement: ir.Request, block: str, scope: Scope, order: int) -> Mak
 
         def run(v: Slots) -> None:
             rows = row_numbers(v[scope.rows])
-            args = [None if slot is None else _each(v, scope, v[slot]) for slot in which]
+            args = [None if slot is None else _row_values(v, scope, v[slot]) for slot in which]
             good = np.ones(len(rows), np.bool_)
             for arg in args if refused else ():
                 good &= True if arg is None else np.isfinite(arg)
             if not good.all():
-                _refuse(v, block, refused, statement.span, rows[~good])
+                _record_fault(v, block, refused, statement.span, rows[~good])
             if row.above_0 and args[0] is not None:
                 good &= args[0] > 0
             if good.all():

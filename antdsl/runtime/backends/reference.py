@@ -18,7 +18,7 @@ from antdsl.numerics import exact_sums
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
 from antdsl.plan.registers import early_loads, statement_numbers
-from antdsl.plan.traverse import needed
+from antdsl.plan.traverse import required_nodes
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.runtime.requests import ClaimEntry, Effects, FaultEntry, GiveEntry, RequestEntry
 from antdsl.runtime.sensing import SENSES, uniform_leaf
@@ -47,13 +47,13 @@ class ReferenceBackend:
         rows = np.flatnonzero(~population.quarantined) if rows is None else rows
         with np.errstate(all="ignore"):
             for row in rows:
-                agent = Agent(
+                agent = AgentRun(
                     world, population, int(row), population.now, int(row), population.effects, self._orders[population.name]
                 )
                 agent.run(block)
 
 
-class FaultMet(Exception):
+class FaultFound(Exception):
     """Raised when the faulty value is reached; holds the agent's run."""
 
     def __init__(self, node: ir.Node) -> None:
@@ -61,7 +61,7 @@ class FaultMet(Exception):
         self.node = node
 
 
-class Agent:
+class AgentRun:
     """One agent during one block. `now[name][at]` is its register; all other arrays are indexed by its row."""
 
     def __init__(
@@ -193,10 +193,10 @@ class Agent:
         args = [self.values[a] for a in node.args]
         if node.op == "set.items":
             items = self.world.items[node.attrs[0]]
-            measured = _measure([items.visible_values[axis] for axis in AXES], own)
+            measured = _measure_members([items.visible_values[axis] for axis in AXES], own)
             return [m for m in measured if m[4] <= args[0]]
         other = self.world.populations[node.attrs[0]]
-        measured = _measure([other.start[f"position.{axis}"] for axis in AXES], own)
+        measured = _measure_members([other.start[f"position.{axis}"] for axis in AXES], own)
         if other is self.population:
             measured = [m for m in measured if m[0] != self.row]
         if node.op == "set.every":
@@ -219,10 +219,10 @@ class Agent:
             elif node.op in SENSES:
                 pair_values[node] = self._sense(node, args)
             else:
-                pair_values[node] = self._of_other(chosen, member, node)
+                pair_values[node] = self._other_value(chosen, member, node)
         return [pair_values[n] if n in pair_values else self.values[n] for n in roots]
 
-    def _of_other(self, chosen: ir.Node, member: Member, node: ir.Node) -> Any:
+    def _other_value(self, chosen: ir.Node, member: Member, node: ir.Node) -> Any:
         row, dx, dy, dz, distance = member
         named = {"pair.x": dx, "pair.y": dy, "pair.z": dz, "pair.distance": distance, "other.row": np.int32(row)}
         if node.op in named:
@@ -244,7 +244,7 @@ def _early(block: ir.Block) -> dict[tuple[int, ...], list[ir.Node]]:
 @cache
 def _pair_nodes(roots: tuple[ir.Node, ...]) -> tuple[ir.Node, ...]:
     """Return the nodes with pair rate below `roots`, operands first."""
-    return tuple(n for n in needed(roots) if n.rate == ir.Rate.PAIR)
+    return tuple(n for n in required_nodes(roots) if n.rate == ir.Rate.PAIR)
 
 
 @cache
@@ -261,7 +261,7 @@ def _operands(node: ir.Node) -> tuple[ir.Node, ...]:
     return tuple(dict.fromkeys(operands))
 
 
-def _measure(positions: list[Any], own: list[Any]) -> list[Member]:
+def _measure_members(positions: list[Any], own: list[Any]) -> list[Member]:
     """Return the row, offset and distance of every agent from one position."""
     dx, dy, dz = (theirs - mine for theirs, mine in zip(positions, own, strict=True))
     distance = np.sqrt((dx * dx + dy * dy) + dz * dz)
@@ -272,40 +272,40 @@ Matches = list[tuple[Member, Any]]
 _INF = np.float32(np.inf)
 
 
-def _sum(agent: Agent, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
+def _sum(agent: AgentRun, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
     quantum = int(node.attrs[0])
-    terms = [float(exact_sums.rounded(body, quantum)) for _, body in matches]
+    terms = [float(exact_sums.quantise(body, quantum)) for _, body in matches]
     if any(term != term for term in terms):
         return np.float32(np.nan)
     return np.float32(ldexp(sum(int(ldexp(term, -quantum)) for term in terms), quantum))  # whole numbers of the quantum
 
 
-def _min(agent: Agent, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
+def _min(agent: AgentRun, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
     least = _INF
     for _, body in matches:
         least = body if body < least else least
     return least + np.float32(0)
 
 
-def _max(agent: Agent, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
+def _max(agent: AgentRun, node: ir.Node, chosen: ir.Node, matches: Matches) -> Any:
     greatest = -_INF
     for _, body in matches:
         greatest = body if body > greatest else greatest
     return greatest + np.float32(0)
 
 
-def _best(agent: Agent, chosen: ir.Node, matches: Matches) -> int:
+def _best(agent: AgentRun, chosen: ir.Node, matches: Matches) -> int:
     sound = [(body, agent.label(chosen, member)) for member, body in matches if body == body]
     return min(sound)[1] if sound else -1
 
 
-def _nth(agent: Agent, node: ir.Node, chosen: ir.Node, matches: Matches) -> int:
+def _nth(agent: AgentRun, node: ir.Node, chosen: ir.Node, matches: Matches) -> int:
     number = np.floor(agent.values[node.args[3]])
     sound = sorted((body, agent.label(chosen, member)) for member, body in matches if body == body)
     return sound[int(number) - 1][1] if 1 <= number <= len(sound) else -1
 
 
-_REDUCE: dict[str, Callable[[Agent, ir.Node, ir.Node, Matches], Any]] = {
+_REDUCE: dict[str, Callable[[AgentRun, ir.Node, ir.Node, Matches], Any]] = {
     "reduce.sum": _sum,
     "reduce.min": _min,
     "reduce.max": _max,
@@ -321,7 +321,7 @@ _REDUCE: dict[str, Callable[[Agent, ir.Node, ir.Node, Matches], Any]] = {
 # --- telling a fault -------------------------------------------------------------------------------------------------
 
 
-def operands_of(
+def fault_operands(
     world: World, population: Population, row: int, block: str, what: str, span: Span | None
 ) -> tuple[tuple[str, str], ...]:
     """Run one agent's step again without effects, up to a rejected value. Return text and value of the operands that made it not
@@ -330,11 +330,11 @@ def operands_of(
     for name, register in population.plan.registers.items():
         if register.role == "temp":
             now[name][0] = register.zero
-    agent = Agent(world, population, row, now, 0, Effects(), statement_numbers(population.plan))
+    agent = AgentRun(world, population, row, now, 0, Effects(), statement_numbers(population.plan))
 
     def watch(register: str, where: Span | None, node: ir.Node) -> None:
         if agent.block == block and register == what and where == span:
-            raise FaultMet(node)
+            raise FaultFound(node)
 
     agent.watch = watch
     with np.errstate(all="ignore"):
@@ -342,13 +342,13 @@ def operands_of(
             for name in ("born",) if block == "born" else BLOCKS:
                 agent.run(name)
                 if name == "decide":
-                    with_winnings(agent, population)
-        except FaultMet as met:
-            return _culprit(agent, met.node)
+                    apply_claims(agent, population)
+        except FaultFound as met:
+            return _find_culprit(agent, met.node)
     return ()
 
 
-def with_winnings(agent: Agent, population: Population) -> None:
+def apply_claims(agent: AgentRun, population: Population) -> None:
     """Set an agent that runs again to the settled results of its claims."""
     for claim in agent.effects.claims:
         won = bool(population.now[claim.statement.won][agent.row])
@@ -361,7 +361,7 @@ def with_winnings(agent: Agent, population: Population) -> None:
                 agent.now[claim.statement.own][0] += claim.amount[0]
 
 
-def _culprit(agent: Agent, node: ir.Node) -> tuple[tuple[str, str], ...]:
+def _find_culprit(agent: AgentRun, node: ir.Node) -> tuple[tuple[str, str], ...]:
     """Return the first operation, in evaluation order, that has finite operands and a result that is not finite."""
 
     def sound(n: ir.Node) -> bool:

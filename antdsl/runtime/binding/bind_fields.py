@@ -13,7 +13,7 @@ from antdsl.fields.cells import FieldTooFine, SurfaceCells
 from antdsl.fields.growing import GrowingCells
 from antdsl.fields.pheromone import PheromoneField
 from antdsl.plan import ir
-from antdsl.runtime.binding.reuse import Built
+from antdsl.runtime.binding.reuse import BindingCache
 from antdsl.scene.field_settings import largest_stable_diffusion
 from antdsl.scene.setting import FieldStart, MeshData
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def bind_fields(
-    world: World, meshes: dict[str, MeshData], value: Callable[[World, ir.Node], float], report: Report, built: Built
+    world: World, meshes: dict[str, MeshData], value: Callable[[World, ir.Node], float], report: Report, built: BindingCache
 ) -> None:
     """Make all fields of the plan; errors go into the report."""
     cells: dict[tuple[tuple[str, ...], float], SurfaceCells] = {}
@@ -31,7 +31,7 @@ def bind_fields(
         keep = 1.0 if plan.keep is None else value(world, plan.keep)
         diffuse = 0.0 if plan.diffuse is None else value(world, plan.diffuse)
         limit = np.inf if plan.limit is None else value(world, plan.limit)
-        if not _sound(plan, size, keep, diffuse, limit, world.dt, report):
+        if not _check_settings(plan, size, keep, diffuse, limit, world.dt, report):
             continue
         key = (plan.surfaces, size)
         if key not in cells:
@@ -51,12 +51,14 @@ def bind_fields(
         )
         start = world.setting.field_start.get(plan.name)
         if start is not None:
-            _fill(field, start, world)
+            _fill_start(field, start, world)
         world.fields[plan.name] = field
         world.field_rates[plan.name] = (np.float32(keep), diffuse)
 
 
-def _sound(plan: ir.FieldPlan, size: float, keep: float, diffuse: float, limit: float, dt: float, report: Report) -> bool:
+def _check_settings(
+    plan: ir.FieldPlan, size: float, keep: float, diffuse: float, limit: float, dt: float, report: Report
+) -> bool:
     """Return whether the settings are valid; report errors if not."""
     if not (np.isfinite(size) and size > 0):
         report.error("field-setting", f"the cells of field `{plan.name}` have no size", plan.span, "write `cell 4 mm`")
@@ -83,7 +85,7 @@ def _sound(plan: ir.FieldPlan, size: float, keep: float, diffuse: float, limit: 
     return True
 
 
-def _fill(field: PheromoneField, start: FieldStart, world: World) -> None:
+def _fill_start(field: PheromoneField, start: FieldStart, world: World) -> None:
     if start.around is None:
         field.values[:] = start.value
         return

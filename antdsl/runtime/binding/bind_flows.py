@@ -11,16 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.casting.curves import resampled
+from antdsl.casting.curves import resample
 from antdsl.diagnostics import Report
-from antdsl.fields.face_points import Lattice, LatticeTooFine, cell_of, flow_cuts, welded
-from antdsl.fields.flow import Flow, Map, Source, falling, laid, nearest, spread
+from antdsl.fields.face_points import Lattice, LatticeTooFine, cell_size, edge_pieces, weld_points
+from antdsl.fields.flow import Flow, Map, Source, falloff, lay_on_faces, make_spread_source, nearest_on_target
 from antdsl.fields.path_cost import Land
-from antdsl.fields.solved import Grounds, Solved, least_cost
+from antdsl.fields.solved import CrossableGround, PathFlow, least_cost
 from antdsl.ground.mesh.topology import NO_LINK
 from antdsl.ground.protocol import Flags, Floats, Index, Meshes
-from antdsl.runtime.binding.reuse import Built
-from antdsl.runtime.moving.obstacles import mesh_of
+from antdsl.runtime.binding.reuse import BindingCache
+from antdsl.runtime.moving.obstacles import obstacle_mesh
 from antdsl.scene.setting import BorderFlow, FlowData, Painted, SolvedFlow, SpreadFlow, Target
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _SUNK = 0.05  # voxels that ground may lie under the surface of a solid and stil
 _LIFT = 0.25  # of an edge: how high over the ground obstacles are looked for between two points
 
 
-def bind_flows(world: World, report: Report, built: Built) -> None:
+def bind_flows(world: World, report: Report, built: BindingCache) -> None:
     """Bind all maps and flows of the setting that the plan knows. Those that never change are stored in `built`."""
     setting = world.setting
     for name, painted in setting.maps.items():
@@ -41,14 +41,14 @@ def bind_flows(world: World, report: Report, built: Built) -> None:
         if isinstance(flow, SolvedFlow) or world.solids or setting.moves:
             bind_flow(world, name, flow, report)
             continue
-        bound_flow = built.get_or_make("flow", (land, flow), partial(_bound, world, name, flow))
+        bound_flow = built.get_or_make("flow", (land, flow), partial(_cached_flow, world, name, flow))
         if bound_flow is None:
             bind_flow(world, name, flow, report)  # complains
         else:
             world.flows[name] = copy(bound_flow)
 
 
-def _bound(world: World, name: str, flow: FlowData) -> Flow | None:
+def _cached_flow(world: World, name: str, flow: FlowData) -> Flow | None:
     bind_flow(world, name, flow, Report())
     return world.flows.get(name)
 
@@ -58,7 +58,7 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
     try:
         world.flows[name] = bound_flow = _make_flow(world, flow)
         if not isinstance(flow, Painted) and _may_change(world, flow):
-            bound_flow.renew = lambda now: _renew(now, bound_flow, flow)
+            bound_flow.renew = lambda now: _renew_flow(now, bound_flow, flow)
     except LatticeTooFine as why:
         report.error(
             "flow-too-fine",
@@ -70,10 +70,10 @@ def bind_flow(world: World, name: str, flow: FlowData, report: Report) -> None:
 
 def _make_flow(world: World, flow: FlowData) -> Flow:
     if isinstance(flow, Painted):
-        return _painted(world, flow)
+        return _painted_flow(world, flow)
     if isinstance(flow, SpreadFlow):
-        return _spread(world, flow)
-    return _border(world, flow) if isinstance(flow, BorderFlow) else _solved(world, flow)
+        return _spread_flow(world, flow)
+    return _border_flow(world, flow) if isinstance(flow, BorderFlow) else _solved_flow(world, flow)
 
 
 # --- what moves ------------------------------------------------------------------------------------------------------
@@ -87,10 +87,10 @@ def _may_change(world: World, flow: SpreadFlow | BorderFlow | SolvedFlow) -> boo
     return bool(moving) or dug or (not isinstance(flow, BorderFlow) and flow.target.of in {**moves.items, **moves.curves})
 
 
-def _renew(world: World, bound_flow: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
+def _renew_flow(world: World, bound_flow: Flow, flow: SpreadFlow | BorderFlow | SolvedFlow) -> None:
     """Replace a flow's values by its current ones."""
     if isinstance(flow, SolvedFlow):
-        assert isinstance(bound_flow, Solved) and bound_flow.grounds is not None
+        assert isinstance(bound_flow, PathFlow) and bound_flow.grounds is not None
         bound_flow.grounds = _grounds(world, bound_flow.lattice, bound_flow.grounds.faces, bound_flow.grounds.point)
         bound_flow.cost = _cost(world, flow, bound_flow.grounds)
         bound_flow.start, bound_flow.first, bound_flow.gap = _goal(world, flow, bound_flow.grounds)
@@ -99,7 +99,7 @@ def _renew(world: World, bound_flow: Flow, flow: SpreadFlow | BorderFlow | Solve
     bound_flow.lattice, bound_flow.c, bound_flow.s, bound_flow.source = now.lattice, now.c, now.s, now.source
 
 
-def _meshes(world: World) -> Meshes:
+def _ground_meshes(world: World) -> Meshes:
     """The part of the ground with faces, on which flows lie."""
     meshes = world.ground.meshes
     assert meshes is not None
@@ -111,7 +111,7 @@ def _meshes(world: World) -> Meshes:
 
 def _corners(world: World, painted: Painted) -> Floats:
     """Painted values in the corners of all faces of the ground, (3, faces, width); 0 on other surfaces."""
-    _, faces, mesh, _ = _meshes(world).triangles
+    _, faces, mesh, _ = _ground_meshes(world).triangles
     own = np.flatnonzero(mesh == world.surface_index[painted.surface])
     values = painted.values.reshape(len(painted.values), -1)
     corner_values = np.zeros((3, len(faces), values.shape[1]))
@@ -121,10 +121,10 @@ def _corners(world: World, painted: Painted) -> Floats:
     return corner_values
 
 
-def _painted(world: World, painted: Painted) -> Flow:
-    table = _meshes(world).triangles[3]
+def _painted_flow(world: World, painted: Painted) -> Flow:
+    table = _ground_meshes(world).triangles[3]
     corners = _corners(world, painted)
-    parts = [laid(corners[k], table.axis1, table.axis2) for k in range(3)]
+    parts = [lay_on_faces(corners[k], table.axis1, table.axis2) for k in range(3)]
     c, s = (np.stack([part[k] for part in parts], axis=1).ravel() for k in range(2))
     return Flow(Lattice.of(np.ones(corners.shape[1], np.int64)), c, s)
 
@@ -132,17 +132,17 @@ def _painted(world: World, painted: Painted) -> Flow:
 # --- points over the ground ------------------------------------------------------------------------------------------
 
 
-def _chosen(world: World, on: tuple[str, ...]) -> Flags:
+def _chosen_faces(world: World, on: tuple[str, ...]) -> Flags:
     """Return the faces of the flow's surfaces, without faces of area 0."""
-    _, _, mesh, table = _meshes(world).triangles
+    _, _, mesh, table = _ground_meshes(world).triangles
     mesh_numbers = [world.surface_index[name] for name in on] or list(world.surface_index.values())
     chosen: Flags = table.live & np.isin(mesh, mesh_numbers)
     return chosen
 
 
-def _lengths(world: World) -> tuple[Floats, Floats]:
+def _longest_edges(world: World) -> tuple[Floats, Floats]:
     """The longest edge and the middle (n, 3) of each face."""
-    vertices, faces, _, _ = _meshes(world).triangles
+    vertices, faces, _, _ = _ground_meshes(world).triangles
     corners = vertices[faces]
     edges = np.stack([corners[:, (k + 1) % 3] - corners[:, k] for k in range(3)])
     return np.sqrt((edges * edges).sum(axis=2)).max(axis=0), corners.mean(axis=1)
@@ -150,21 +150,23 @@ def _lengths(world: World) -> tuple[Floats, Floats]:
 
 def _lattice(world: World, chosen: Flags, flow: SpreadFlow | BorderFlow | SolvedFlow) -> Lattice:
     """Return a lattice with the flow's resolution on the chosen faces. Raises LatticeTooFine if its cell is too small."""
-    return Lattice.of(flow_cuts(flow, np.where(chosen, _lengths(world)[0], 0.0), _meshes(world).extent))
+    return Lattice.of(edge_pieces(flow, np.where(chosen, _longest_edges(world)[0], 0.0), _ground_meshes(world).extent))
 
 
 def _locate_slots(world: World, lattice: Lattice) -> tuple[Index, Floats]:
     """The face and the place (n, 3) of each slot."""
-    table = _meshes(world).triangles[3]
+    table = _ground_meshes(world).triangles[3]
     face = lattice.faces()
     b1, b2 = lattice.weights()
     place = table.corner.take(face, axis=1) + b1 * table.edge1.take(face, axis=1) + b2 * table.edge2.take(face, axis=1)
     return face, np.ascontiguousarray(place.T)
 
 
-def _flow(world: World, lattice: Lattice, face: Index, vectors: Floats, chosen: Flags, source: Source | None = None) -> Flow:
-    table = _meshes(world).triangles[3]
-    c, s = laid(vectors, table.axis1.take(face, axis=1), table.axis2.take(face, axis=1))
+def _flow_from_vectors(
+    world: World, lattice: Lattice, face: Index, vectors: Floats, chosen: Flags, source: Source | None = None
+) -> Flow:
+    table = _ground_meshes(world).triangles[3]
+    c, s = lay_on_faces(vectors, table.axis1.take(face, axis=1), table.axis2.take(face, axis=1))
     return Flow(lattice, c * chosen[face], s * chosen[face], source)
 
 
@@ -181,33 +183,33 @@ def _locate_target(world: World, target: Target) -> Target:
 # --- about a target, and at borders ----------------------------------------------------------------------------------
 
 
-def _spread(world: World, flow: SpreadFlow) -> Flow:
+def _spread_flow(world: World, flow: SpreadFlow) -> Flow:
     target = _locate_target(world, flow.target)
-    source = spread(flow, target)
+    source = make_spread_source(flow, target)
     if world.ground.meshes is None:
         return Flow(Lattice.of(np.ones(0, np.int64)), np.zeros(0), np.zeros(0), source)
-    chosen = near = _chosen(world, flow.on)
+    chosen = near = _chosen_faces(world, flow.on)
     if flow.radius is not None:
-        longest, middle = _lengths(world)
-        near = chosen & (nearest(target, middle)[0] <= flow.radius + longest)
+        longest, middle = _longest_edges(world)
+        near = chosen & (nearest_on_target(target, middle)[0] <= flow.radius + longest)
     lattice = _lattice(world, near, flow)
     face, place = _locate_slots(world, lattice)
     vectors = np.zeros_like(place)
     near_slots = np.flatnonzero(near[face])
     vectors[near_slots] = source(place[near_slots])
-    return _flow(world, lattice, face, vectors, chosen, source if not flow.on else None)
+    return _flow_from_vectors(world, lattice, face, vectors, chosen, source if not flow.on else None)
 
 
-def _border(world: World, flow: BorderFlow) -> Flow:
-    vertices, faces, _, table = _meshes(world).triangles
-    chosen = _chosen(world, flow.on)
+def _border_flow(world: World, flow: BorderFlow) -> Flow:
+    vertices, faces, _, table = _ground_meshes(world).triangles
+    chosen = _chosen_faces(world, flow.on)
     half = np.flatnonzero((table.link[0] == NO_LINK) & np.repeat(chosen, 3))
     own, k = half // 3, half % 3
     one, two = vertices[faces[own, (k + 1) % 3]], vertices[faces[own, (k + 2) % 3]]
     edge = two - one
     length = np.sqrt((edge * edge).sum(axis=1))
-    longest, middle = _lengths(world)
-    cell = cell_of(flow, _meshes(world).extent)
+    longest, middle = _longest_edges(world)
+    cell = cell_size(flow, _ground_meshes(world).extent)
     pieces = np.clip(np.ceil(2 * length / cell), 1, 4096).astype(np.int64)
     which = np.repeat(np.arange(len(half)), pieces)
     part = (np.arange(len(which)) - np.repeat(np.cumsum(pieces) - pieces, pieces) + 0.5) / pieces[which]
@@ -217,7 +219,7 @@ def _border(world: World, flow: BorderFlow) -> Flow:
     near = chosen.copy()
     target = Target(rim, np.zeros(len(rim)))
     if len(rim):
-        near &= nearest(target, middle)[0] <= flow.within + longest
+        near &= nearest_on_target(target, middle)[0] <= flow.within + longest
     lattice = _lattice(world, near, flow)
     face, place = _locate_slots(world, lattice)
     vectors = np.zeros_like(place)
@@ -232,52 +234,52 @@ def _border(world: World, flow: BorderFlow) -> Flow:
         distance = np.sqrt((direction * direction).sum(axis=1))
         direction += 0.5 * cell * inward[line]
         direction /= np.maximum(np.sqrt((direction * direction).sum(axis=1)), 1e-12)[:, None]
-        vectors[near_slots] = direction * (falling(distance, flow.within, flow.falloff) * flow.strength)[:, None]
-    return _flow(world, lattice, face, vectors, chosen)
+        vectors[near_slots] = direction * (falloff(distance, flow.within, flow.falloff) * flow.strength)[:, None]
+    return _flow_from_vectors(world, lattice, face, vectors, chosen)
 
 
 # --- solved ----------------------------------------------------------------------------------------------------------
 
 
-def _solved(world: World, flow: SolvedFlow) -> Flow:
-    chosen = _chosen(world, flow.on)
+def _solved_flow(world: World, flow: SolvedFlow) -> Flow:
+    chosen = _chosen_faces(world, flow.on)
     lattice = _lattice(world, chosen, flow)
     grounds = _grounds(world, lattice, chosen)
     start, first, gap = _goal(world, flow, grounds)
     every = max(1, ceil(flow.every / world.dt - 1e-9))
     changes = bool(flow.crowding or world.setting.moves)
-    looked = [_left(world)]
+    looked = [_solid_remainders(world)]
 
     def due(now: World) -> bool:
         """Return whether a new solution is due and there is something to compute."""
         if (now.frame - now.setting.first_frame) % every:
             return False
-        previous_state, looked[0] = looked[0], _left(now)
+        previous_state, looked[0] = looked[0], _solid_remainders(now)
         return changes or looked[0] != previous_state
 
-    solved_flow = Solved(
+    solved_flow = PathFlow(
         lattice, np.zeros(0), np.zeros(0), None,
         grounds=grounds, cost=_cost(world, flow, grounds), start=start, first=first, gap=gap, strength=flow.strength,
         crowding=flow.crowding, every=every, due=due,
         crowd=np.zeros(len(grounds.land.points), np.int64) if flow.crowding else None,
         stores_reached=any(node.op == "flow.reachable" for node in world.plan.nodes),
     )  # fmt: skip
-    solved_flow.solve()
+    solved_flow.update_flow()
     return solved_flow
 
 
-def _left(world: World) -> list[int]:
+def _solid_remainders(world: World) -> list[int]:
     """Return a counter for each solid, which changes when it is dug."""
     return [volume.bricks.steps for volume in world.solids.values()]
 
 
-def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None = None) -> Grounds:
+def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None = None) -> CrossableGround:
     """Return the lattice as land: points merged across faces (`point`, if known), triangles that no obstacle cuts and no undug
     solid buries, and links between surfaces."""
-    _, _, mesh, table = _meshes(world).triangles
+    _, _, mesh, table = _ground_meshes(world).triangles
     face, place = _locate_slots(world, lattice)
     if point is None:
-        point = welded(place, mesh[face])[0]
+        point = weld_points(place, mesh[face])[0]
     count = int(point.max(initial=-1)) + 1
     points = np.empty((count, 3))
     points[point] = place
@@ -286,23 +288,23 @@ def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None 
     a, b, c = (points[triangles[:, k]] for k in range(3))
     across = np.cross(b - a, c - a)
     areas = np.sqrt((across * across).sum(axis=1)) / 2
-    open_ = chosen[owner] & (areas > 0) & ~_blocked(world, triangles, points, table.normal.T[owner])
+    open_ = chosen[owner] & (areas > 0) & ~_blocked_triangles(world, triangles, points, table.normal.T[owner])
     for volume in world.solids.values():
         open_ &= ~(volume.sample(points) < -_SUNK * volume.voxel)[triangles].any(axis=1)
     of = np.empty(count, np.int32)
     of[point] = mesh[face]
     land = Land(points, triangles, open_, _links(points, of, np.unique(triangles[open_]), areas))
     axis1, axis2 = table.axis1.take(face, axis=1), table.axis2.take(face, axis=1)
-    return Grounds(lattice, land, point, axis1, axis2, areas, chosen)
+    return CrossableGround(lattice, land, point, axis1, axis2, areas, chosen)
 
 
-def _blocked(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
+def _blocked_triangles(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
     """Return the triangles with a side that hits an obstacle, tested slightly above the ground."""
     cut = np.zeros(len(triangles), bool)
     for name in world.plan.of_kind("obstacle"):
         if name not in world.obstacles:
             continue
-        scene = mesh_of(world, name)
+        scene = obstacle_mesh(world, name)
         for k in range(3):
             start, end = points[triangles[:, k]], points[triangles[:, (k + 1) % 3]]
             step = end - start
@@ -328,7 +330,7 @@ def _links(points: Floats, of: NDArray[np.int32], used: Index, areas: Floats) ->
     return np.concatenate(pairs)
 
 
-def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floats, float]:
+def _goal(world: World, flow: SolvedFlow, grounds: CrossableGround) -> tuple[Index, Floats, float]:
     """Return the points at the target and their remaining distances: all points within its radius, and those next to each of its
     places. Also, return the distance of the nearest of these places from all points, minus its radius."""
     from scipy.spatial import cKDTree
@@ -341,7 +343,7 @@ def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floa
     positions, radii = target.positions, target.radii
     side = float(np.sqrt(np.median(grounds.areas[land.open])))
     if target.line:
-        positions = resampled(positions, side)
+        positions = resample(positions, side)
         radii = np.zeros(len(positions))
     tree = cKDTree(land.points[used])
     distance, away_by = np.full(len(used), np.inf), np.inf if len(positions) else 0.0
@@ -357,11 +359,11 @@ def _goal(world: World, flow: SolvedFlow, grounds: Grounds) -> tuple[Index, Floa
     return used[at], distance[at], away_by
 
 
-def _cost(world: World, flow: SolvedFlow, grounds: Grounds) -> Floats:
+def _cost(world: World, flow: SolvedFlow, grounds: CrossableGround) -> Floats:
     """Return the cost of a mm within each triangle, without any agents."""
     land = grounds.land
     _, owner = grounds.lattice.triangles()
-    normal = _meshes(world).triangles[3].normal.T[owner]
+    normal = _ground_meshes(world).triangles[3].normal.T[owner]
     upright = np.abs((normal * world.up).sum(axis=1))
     price = 1.0 + flow.slope * np.sqrt(np.maximum(1 - upright * upright, 0.0))
     middle = land.points[land.triangles].mean(axis=1)
@@ -370,7 +372,7 @@ def _cost(world: World, flow: SolvedFlow, grounds: Grounds) -> Floats:
         gap = np.full(len(middle), np.inf)
         for name in world.plan.of_kind("obstacle"):
             if name in world.obstacles:
-                gap = np.minimum(gap, world.obstacles[name].near(x, y, z, flow.clearance).t)
+                gap = np.minimum(gap, world.obstacles[name].nearest_within(x, y, z, flow.clearance).t)
         tight = np.clip(1 - gap / flow.clearance, 0.0, 1.0)
         price = price + _ROOM_COST * tight * tight
     if flow.maps:

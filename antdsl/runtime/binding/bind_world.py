@@ -16,21 +16,21 @@ from antdsl.ground.mesh.surface import MeshGround
 from antdsl.ground.moving import MovingGround
 from antdsl.ground.plane import Plane
 from antdsl.ground.protocol import Ground
-from antdsl.ground.solid import Unusable, Volume
+from antdsl.ground.solid import UnusableMesh, Volume
 from antdsl.ground.solid_feelers import SolidFeelers
 from antdsl.machine_code import machine
 from antdsl.numerics import stages
-from antdsl.numerics.float_environment import standard
+from antdsl.numerics.float_environment import standard_floats
 from antdsl.plan import ir
-from antdsl.plan.traverse import needed
+from antdsl.plan.traverse import required_nodes
 from antdsl.runtime.backends import BACKENDS
 from antdsl.runtime.backends.numpy_backend import uniform_values
 from antdsl.runtime.binding.placing import populate
-from antdsl.runtime.binding.reuse import Built
+from antdsl.runtime.binding.reuse import BindingCache
 from antdsl.runtime.faults import FaultLog
 from antdsl.runtime.feet import walking
 from antdsl.runtime.motion_measures import Motion
-from antdsl.runtime.moving.moving_geometry import curve
+from antdsl.runtime.moving.moving_geometry import make_curve
 from antdsl.runtime.world import AXES, Items, Options, World, empty_population
 from antdsl.scene.setting import FlowData, MeshData, Setting, world_origin
 
@@ -43,37 +43,37 @@ class BindError(ValueError):
         self.report = report
 
 
-@standard()
-def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, built: Built | None = None) -> World:
+@standard_floats()
+def bind(plan: ir.Plan, setting: Setting, options: Options | None = None, *, built: BindingCache | None = None) -> World:
     """Return the world at `setting.first_frame`, with all agents born and none moved. `plan` has been optimised and verified.
     `built` stores data made from meshes for other worlds.
 
     Raises BindError with a report if plan and setting do not match."""
-    world = unpeopled(plan, setting, options, built=built)
+    world = bind_empty(plan, setting, options, built=built)
     stages.begin("placing agents")
     with np.errstate(all="ignore"):
         populate(world)
     stages.begin("feet")
-    walking.begin(world)
+    walking.begin_feet(world)
     return world
 
 
-@standard()
-def unpeopled(
+@standard_floats()
+def bind_empty(
     plan: ir.Plan,
     setting: Setting,
     options: Options | None = None,
     *,
-    built: Built | None = None,
+    built: BindingCache | None = None,
     origin: NDArray[np.float64] | None = None,
 ) -> World:
     """Return a world as `bind` does, but without agents. `origin`: an existing origin that positions are relative to. Raises
     NoMachineCode if no kernel can run."""
     machine.require()
-    options, built = options or Options(), built or Built()
+    options, built = options or Options(), built or BindingCache()
     origin = world_origin(setting) if origin is None else origin
     up = np.asarray(setting.up, np.float64)
-    meshes = {name: _moved(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
+    meshes = {name: _moved_mesh(mesh, origin) for name, mesh in {**setting.surfaces, **setting.obstacles}.items()}
     solids = _solids(setting, origin, built)
     surfaces = {name: meshes[name] for name in setting.surfaces}
     stages.begin("ground")
@@ -90,8 +90,8 @@ def unpeopled(
         items={name: _items(setting, items, origin) for name, items in plan.items.items()},
         fields={},
         field_rates={},
-        obstacles=_scenes(meshes, solids, built),
-        curves={name: curve(setting.curves[name] - origin) for name in plan.of_kind("curve") if name in setting.curves},
+        obstacles=_make_ray_scenes(meshes, solids, built),
+        curves={name: make_curve(setting.curves[name] - origin) for name in plan.of_kind("curve") if name in setting.curves},
         flows={},
         maps={},
         ground=ground,
@@ -103,7 +103,7 @@ def unpeopled(
     )
     _params(world)
     stages.begin("fields")
-    _fields(world, {**meshes, **{name: _moved(solid.mesh, origin) for name, solid in setting.solids.items()}}, built)
+    _fields(world, {**meshes, **{name: _moved_mesh(solid.mesh, origin) for name, solid in setting.solids.items()}}, built)
     _flows(world, built)
     _detail(world, {name: meshes[name] for name in setting.obstacles})
     return world
@@ -116,22 +116,22 @@ def set_param(world: World, name: str, value: float) -> None:
     world.params[name] = np.float32(value)
 
 
-def _moved(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
+def _moved_mesh(mesh: MeshData, origin: NDArray[np.float64]) -> MeshData:
     return MeshData(mesh.vertices - origin, mesh.faces) if origin.any() else mesh
 
 
-def _solids(setting: Setting, origin: NDArray[np.float64], built: Built) -> dict[str, Volume]:
+def _solids(setting: Setting, origin: NDArray[np.float64], built: BindingCache) -> dict[str, Volume]:
     """Return a volume for each solid. Raises BindError if its mesh is unsuitable."""
     if not setting.solids:
         return {}
     volumes: dict[str, Volume] = {}
     report = Report()
     for name, solid in setting.solids.items():
-        mesh = _moved(solid.mesh, origin)
+        mesh = _moved_mesh(solid.mesh, origin)
         volume = built.get_or_make_deep(
             "solid", (mesh, solid.voxel), partial(Volume.from_mesh, mesh.vertices, mesh.faces, solid.voxel)
         )
-        if isinstance(volume, Unusable):
+        if isinstance(volume, UnusableMesh):
             report.error(
                 "bad-mesh",
                 f"the mesh of the solid `{name}` cannot be dug: {volume.message}",
@@ -151,7 +151,7 @@ def _ground(
     up: NDArray[np.float64],
     moving: Iterable[str],
     by_rays: bool,
-    built: Built,
+    built: BindingCache,
 ) -> Ground:
     if not meshes and not solids:
         return Plane(up)
@@ -161,7 +161,7 @@ def _ground(
     return Terrain(ground, solids, up / np.sqrt((up[0] * up[0] + up[1] * up[1]) + up[2] * up[2]))
 
 
-def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, built: Built) -> MeshGround | None:
+def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, built: BindingCache) -> MeshGround | None:
     """Return the part of the ground that consists of meshes, or None."""
     surfaces = {name: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}
     moved = [name for name in moving if name in surfaces]
@@ -173,7 +173,7 @@ def _meshes(meshes: dict[str, MeshData], moving: Iterable[str], by_rays: bool, b
     return built.get_or_make("ground", (surfaces, by_rays), partial(MeshGround, surfaces, by_rays))
 
 
-def _scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], built: Built) -> dict[str, Obstacle]:
+def _make_ray_scenes(meshes: dict[str, MeshData], solids: dict[str, Volume], built: BindingCache) -> dict[str, Obstacle]:
     """Return the targets of raycasts: meshes, and solids in their current state."""
     if not meshes and not solids:
         return {}
@@ -204,7 +204,7 @@ def _params(world: World) -> None:
 
 def run_value(world: World, node: ir.Node) -> float:
     """Return the value of a node that is constant for the whole run."""
-    return float(uniform_values(world, needed((node,)))[node])
+    return float(uniform_values(world, required_nodes((node,)))[node])
 
 
 def set_flow(world: World, name: str, flow: FlowData) -> None:
@@ -219,7 +219,7 @@ def set_flow(world: World, name: str, flow: FlowData) -> None:
         raise BindError(report)
 
 
-def _flows(world: World, built: Built) -> None:
+def _flows(world: World, built: BindingCache) -> None:
     if not world.setting.flows and not world.setting.maps:
         return
     from antdsl.runtime.binding.bind_flows import bind_flows
@@ -238,7 +238,7 @@ def _detail(world: World, obstacles: dict[str, MeshData]) -> None:
     world.detail = Detail(world.setting.detail, world.origin, obstacles)
 
 
-def _fields(world: World, meshes: dict[str, MeshData], built: Built) -> None:
+def _fields(world: World, meshes: dict[str, MeshData], built: BindingCache) -> None:
     if not world.plan.fields:
         return
     from antdsl.runtime.binding.bind_fields import bind_fields

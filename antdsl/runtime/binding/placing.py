@@ -14,14 +14,14 @@ from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
 from antdsl.plan import ir
 from antdsl.plan.traverse import placed
-from antdsl.program.tables.effects import settled_in
-from antdsl.runtime.binding.spacing import Drawn, Occupancy, spread, takes_room
+from antdsl.program.tables.effects import effects_of_phase
+from antdsl.runtime.binding.spacing import DrawnPlaces, Occupancy, has_extent, spread_agents
 from antdsl.runtime.binding.start_places import COVERED, PLACEMENT_FRAME, TURN, StartPlaces
 from antdsl.runtime.faults import FaultLog
-from antdsl.runtime.lifecycle import come_alive, deaths_and_births, settle_newborn
+from antdsl.runtime.lifecycle import apply_deaths_and_births, initialise_newborn, settle_newborn
 from antdsl.runtime.moving import walks
-from antdsl.runtime.moving.tilting import settle
-from antdsl.runtime.world import AXES, Crowded, Population, World, add_rows, empty_population, select_rows
+from antdsl.runtime.moving.tilting import settle_bodies
+from antdsl.runtime.world import AXES, OvercrowdedLine, Population, World, add_rows, empty_population, select_rows
 from antdsl.scene.setting import CrowdData, PlaceData
 
 _STEEP = 1e-3  # sine of the angle to the ground's normal below which a way leads off the ground
@@ -36,17 +36,17 @@ def populate(world: World) -> None:
         ids = np.arange(counted.get(crowd.species, 0), counted.get(crowd.species, 0) + crowd.count)
         counted[crowd.species] = population.next_id = int(crowd.count + (ids[0] if len(ids) else population.next_id))
         joining.append((crowd, ids))
-    arrive(world, joining)
+    place_joining(world, joining)
     joined: dict[str, NDArray[np.intp]] = {}
     for name, population in world.populations.items():
         if len(population):
             _shuffle(world, population)
             joined[name] = np.arange(len(population))
-    begin(world, joined)
+    begin_agents(world, joined)
     world.motion.begin(world)
 
 
-def arrive(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]]) -> dict[str, NDArray[np.intp]]:
+def place_joining(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]]) -> dict[str, NDArray[np.intp]]:
     """Add agents of crowd lines and return their rows, by species. They are placed as the scene says, clear of each other and of
     existing agents. Only their positions are filled in.
 
@@ -59,31 +59,31 @@ def arrive(world: World, joining: Sequence[tuple[CrowdData, NDArray[np.int64]]])
     radius = _spacing_radii(world, joining, starts, _radii(world, joining, starts))
     occupancy = Occupancy(_rounding(world))
     for population in world.populations.values():
-        occupancy.begin_with(population.position, population.now["radius"].astype(np.float64))
-    draws: dict[int, Drawn] = {}
+        occupancy.add_present(population.position, population.now["radius"].astype(np.float64))
+    draws: dict[int, DrawnPlaces] = {}
     for k, (_, ids) in enumerate(joining):
         if starts[k].given:
             draws[k] = starts[k].draw(ids, range(1))
-            occupancy.begin_with(draws[k].place, radius[k])
+            occupancy.add_present(draws[k].place, radius[k])
     first = 0
     for k, (crowd, ids) in enumerate(joining):
         if k not in draws:
-            draws[k], fits = spread(occupancy, starts[k].draw, ids, radius[k], first)
+            draws[k], fits = spread_agents(occupancy, starts[k].draw, ids, radius[k], first)
             first += len(ids)
             if not fits.all():
-                wide = radius[k][takes_room(radius[k])]
+                wide = radius[k][has_extent(radius[k])]
                 ends = (float(wide.min(initial=np.inf)), float(wide.max(initial=0.0)))
                 cover = float(np.pi * (wide * wide).sum())
                 fit, start = int(np.count_nonzero(fits)), starts[k]
-                room_for = (start.area(), start.larger(cover), start.sides(cover))
-                world.crowded.append(Crowded(crowd.group, crowd.species, len(ids), fit, ends, cover, *room_for))
+                room_for = (start.area(), start.sufficient_radius(cover), start.fits_on_all_sides(cover))
+                world.crowded.append(OvercrowdedLine(crowd.group, crowd.species, len(ids), fit, ends, cover, *room_for))
     rows: dict[str, list[NDArray[np.intp]]] = {}
     for k, (crowd, ids) in enumerate(joining):
-        rows.setdefault(crowd.species, []).append(_put(world, crowd, ids, draws[k]))
+        rows.setdefault(crowd.species, []).append(_place_crowd(world, crowd, ids, draws[k]))
     return {name: np.concatenate(parts) for name, parts in rows.items()}
 
 
-def _put(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: Drawn) -> NDArray[np.intp]:
+def _place_crowd(world: World, crowd: CrowdData, ids: NDArray[np.int64], drawn: DrawnPlaces) -> NDArray[np.intp]:
     population = world.populations[crowd.species]
     rows = add_rows(population, ids, world.frame, drawn.place, drawn.footing)
     for k, axis in enumerate(AXES):
@@ -111,13 +111,13 @@ def _radii(
     rows: dict[str, list[NDArray[np.intp]]] = {}
     lines = []
     for (crowd, ids), start in zip(joining, starts, strict=True):
-        lines.append(_put(trial, crowd, ids, start.draw(ids, range(1))))
+        lines.append(_place_crowd(trial, crowd, ids, start.draw(ids, range(1))))
         rows.setdefault(crowd.species, []).append(lines[-1])
     joined = {name: np.concatenate(parts) for name, parts in rows.items()}
     for name, chosen in joined.items():
         trial.populations[name].next_id = world.populations[name].next_id
-        _stand(trial, trial.populations[name], chosen)
-    come_alive(trial, joined)
+        _orient_agents(trial, trial.populations[name], chosen)
+    initialise_newborn(trial, joined)
     radius = {name: trial.populations[name].now["radius"].astype(np.float64) for name in joined}
     return [radius[crowd.species][own] for (crowd, _), own in zip(joining, lines, strict=True)]
 
@@ -134,13 +134,13 @@ def _spacing_radii(
     for (crowd, _), start, own in zip(joining, starts, radius, strict=True):
         half = crowd.place.spacing / 2
         if np.isinf(half):
-            count = sum(c.count for c in world.setting.crowds if _spot(c.place) == _spot(crowd.place))
+            count = sum(c.count for c in world.setting.crowds if _place_key(c.place) == _place_key(crowd.place))
             half = np.sqrt(COVERED * (start.area() or 0.0) / (np.pi * max(count, 1)))
         radii.append(np.maximum(own, half) if half > 0 else own)
     return radii
 
 
-def _spot(place: PlaceData) -> tuple[object, ...]:
+def _place_key(place: PlaceData) -> tuple[object, ...]:
     """Return a key that is equal for two lines that begin evenly in one place."""
     return place.on, place.around, place.radius, place.density, place.by_area, place.spacing
 
@@ -152,20 +152,20 @@ def _rounding(world: World) -> float:
     return far * float(np.finfo(np.float32).eps)
 
 
-def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
+def begin_agents(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
     """Set stance, values of birth and start speed of new agents; `joined` has their rows by species. Events that they emit at
     birth are visible in the first step."""
     for name, rows in joined.items():
-        _stand(world, world.populations[name], rows)
-    come_alive(world, joined)
+        _orient_agents(world, world.populations[name], rows)
+    initialise_newborn(world, joined)
     for name, rows in joined.items():
-        _set_out(world, world.populations[name], rows)
-        walks.set_out(world, world.populations[name], rows)
-        settle(world, world.populations[name], rows)
+        _start_moving(world, world.populations[name], rows)
+        walks.start_walks(world, world.populations[name], rows)
+        settle_bodies(world, world.populations[name], rows)
     settle_newborn(world)  # while rows belong to them: an agent that dies at birth has made its requests all the same
-    births = set(settled_in("births"))
+    births = set(effects_of_phase("births"))
     if any(births & p.effects.requests.keys() for p in world.populations.values()):
-        deaths_and_births(world)
+        apply_deaths_and_births(world)
         settle_newborn(world)
     for population in world.populations.values():
         for name in population.events:
@@ -173,7 +173,7 @@ def begin(world: World, joined: Mapping[str, NDArray[np.intp]]) -> None:
             population.raised[name].fill(False)
 
 
-def _draw(world: World, species: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
+def _draw_uniform(world: World, species: str, index: int, ids: NDArray[np.int64]) -> NDArray[np.float32]:
     return randomness.uniform(world.setting.seed, PLACEMENT_FRAME, species, "heading", index, ids)
 
 
@@ -185,12 +185,12 @@ def _shuffle(world: World, population: Population) -> None:
 def give_at_birth(population: Population, rows: NDArray[np.intp], place: PlaceData) -> None:
     """Write the values at the points of a place into the registers that the block `born` reads, before it runs."""
     for name, column in place.values.items():
-        if (register := ir.begun_with(name)) in population.now:
+        if (register := ir.birth_register(name)) in population.now:
             point_values = column[population.ids[rows] % len(column)]
             population.now[register][rows] = np.where(np.isfinite(point_values), point_values, np.inf)
 
 
-def _as_points_face(world: World, population: Population, rows: NDArray[np.intp], up: Vector, drawn: Vector) -> Vector:
+def _point_headings(world: World, population: Population, rows: NDArray[np.intp], up: Vector, drawn: Vector) -> Vector:
     """Return headings: those of the points where agents begin, along the ground; else the drawn ones."""
     heading = drawn
     for crowd in world.setting.crowds:
@@ -206,15 +206,15 @@ def _as_points_face(world: World, population: Population, rows: NDArray[np.intp]
     return heading
 
 
-def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None:
+def _orient_agents(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """Set up from the ground, and a heading drawn around it unless the scene gives one; at rest."""
     target_up = np.stack([population.now[f"up.{axis}"] for axis in AXES], axis=1).astype(np.float64)
-    up = vec.columns(world.ground.upright(population.footing, target_up)[rows], np.float32)
-    angle = _draw(world, population.name, 0, population.ids[rows]) * TURN
-    side = vec.across(up)
+    up = vec.columns(world.ground.upright_normals(population.footing, target_up)[rows], np.float32)
+    angle = _draw_uniform(world, population.name, 0, population.ids[rows]) * TURN
+    side = vec.any_perpendicular(up)
     ahead = vec.cross(up, side)
     heading = vec.add(vec.scale(side, elementary.cos(angle)), vec.scale(ahead, elementary.sin(angle)))
-    heading = _as_points_face(world, population, rows, up, heading)
+    heading = _point_headings(world, population, rows, up, heading)
     for k, axis in enumerate(AXES):
         population.normal[rows, k] = up[k]
         for name, value in (("position", population.position[rows, k]), ("up", up[k]), ("heading", heading[k])):
@@ -222,11 +222,11 @@ def _stand(world: World, population: Population, rows: NDArray[np.intp]) -> None
             population.start[f"{name}.{axis}"][rows] = value
 
 
-def _set_out(world: World, population: Population, rows: NDArray[np.intp]) -> None:
+def _start_moving(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """Set a velocity along the heading, a drawn share of full speed (T02), unless the species sets its motion at birth."""
     if any(isinstance(s, ir.Store) and s.register.startswith("velocity.") for _, s in placed(population.plan.born)):
         return
-    speed = population.now["max_speed"][rows] * _draw(world, population.name, 1, population.ids[rows])
+    speed = population.now["max_speed"][rows] * _draw_uniform(world, population.name, 1, population.ids[rows])
     if "min_speed" in population.now:
         least = np.minimum(population.now["min_speed"][rows], population.now["max_speed"][rows])
         speed = np.maximum(speed, least)

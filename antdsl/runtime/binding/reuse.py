@@ -14,7 +14,7 @@ import numpy as np
 T = TypeVar("T")
 
 
-class Built:
+class BindingCache:
     """Grounds, ray scenes, cells, volumes and flows that do not change once they are made. Things that change, such as dug or
     moving ones, are stored in their initial state and returned as copies."""
 
@@ -33,10 +33,10 @@ class Built:
         return product if copied is None else copied(product)
 
     def get_or_make_deep(self, what: str, of: object, make: Callable[[], T]) -> T:
-        """Like `once`, for values that change in use: returns a deep copy."""
+        """Like `get_or_make`, for values that change in use: returns a deep copy."""
         return self.get_or_make(what, of, make, copied=deepcopy)
 
-    def forget(self) -> None:
+    def drop_unused(self) -> None:
         """Drop entries that were not used since the last call."""
         self._kept = {key: value for key, value in self._kept.items() if key in self._asked}
         self._asked = set()
@@ -45,26 +45,26 @@ class Built:
 def digest(value: object) -> str:
     """Return a hash of arrays, numbers, texts, mappings, sequences and dataclasses of these, by content."""
     hashed = sha256()
-    _add(hashed.update, value)
+    _add_to_digest(hashed.update, value)
     return hashed.hexdigest()
 
 
-def _add(update: Callable[[bytes], None], value: object) -> None:
+def _add_to_digest(update: Callable[[bytes], None], value: object) -> None:
     if isinstance(value, np.ndarray):
         update(f"a{value.dtype.str}{value.shape}".encode())
         update(np.ascontiguousarray(value).tobytes())
     elif is_dataclass(value) and not isinstance(value, type):
         update(f"d{type(value).__name__}".encode())
         for each in fields(value):
-            _add(update, getattr(value, each.name))
+            _add_to_digest(update, getattr(value, each.name))
     elif isinstance(value, Mapping):
         update(f"m{len(value)}".encode())
         for key, inner in value.items():
-            _add(update, key)
-            _add(update, inner)
+            _add_to_digest(update, key)
+            _add_to_digest(update, inner)
     elif isinstance(value, tuple | list):
         update(f"t{len(value)}".encode())
         for inner in value:
-            _add(update, inner)
+            _add_to_digest(update, inner)
     else:
         update(f"{type(value).__name__}:{value!r};".encode())

@@ -31,7 +31,7 @@ _FINE = 8  # of those who may overlap already, one in so small a part of a body 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Drawn:
+class DrawnPlaces:
     """Places to start at: footings on the ground, where these are (n, 3), ups (n, 3), and whether an agent may start there."""
 
     footing: Footing
@@ -39,22 +39,22 @@ class Drawn:
     up: Floats
     good: Flags
 
-    def take(self, rows: Rows) -> Drawn:
+    def take(self, rows: Rows) -> DrawnPlaces:
         """Copies of some of them."""
-        return Drawn(self.footing.take(rows), self.place[rows], self.up[rows], self.good[rows])
+        return DrawnPlaces(self.footing.take(rows), self.place[rows], self.up[rows], self.good[rows])
 
-    def put(self, rows: Rows, other: Drawn) -> None:
+    def put(self, rows: Rows, other: DrawnPlaces) -> None:
         """Put others into rows."""
         self.footing.put(rows, other.footing)
         self.place[rows], self.up[rows], self.good[rows] = other.place, other.up, other.good
 
 
-Draw = Callable[[NDArray[np.int64], range], Drawn]
+Draw = Callable[[NDArray[np.int64], range], DrawnPlaces]
 """Places for agents by their ids: the tries of a range one after the other, all agents within each."""
 
 
 @dataclass(frozen=True, eq=False)
-class _Group:
+class _DiscGroup:
     """Discs of similar size: their positions and numbers."""
 
     place: Floats
@@ -79,12 +79,12 @@ class Occupancy:
         self._radius = np.empty(0)
         self._order = np.empty(0, np.intp)
         self._there = np.empty(0, np.bool_)
-        self._groups: list[_Group] = []
+        self._groups: list[_DiscGroup] = []
 
-    def begin_with(self, place: Floats, radius: Floats) -> None:
+    def add_present(self, place: Floats, radius: Floats) -> None:
         """Add agents that are already present and do not move; they may overlap each other."""
-        rows = np.flatnonzero(takes_room(radius))
-        rows = rows[_firsts(place[rows], radius[rows], _FINE)]
+        rows = np.flatnonzero(has_extent(radius))
+        rows = rows[_first_per_cell(place[rows], radius[rows], _FINE)]
         self.add(place[rows], radius[rows], np.full(len(rows), -1))
 
     def add(self, place: Floats, radius: Floats, order: Rows) -> Rows:
@@ -95,20 +95,20 @@ class Occupancy:
         self._order = np.concatenate([self._order, order])
         self._there = np.concatenate([self._there, np.ones(len(order), np.bool_)])
         entries = np.arange(first, len(self._order))
-        self._group(np.concatenate([entries, *(group.entries for group in self._groups)]))
+        self._add_group(np.concatenate([entries, *(group.entries for group in self._groups)]))
         return entries
 
     def remove(self, entries: Rows) -> None:
         self._there[entries] = False
 
-    def settle(self) -> None:
+    def drop_removed(self) -> None:
         """Forget what was removed."""
-        self._group(np.flatnonzero(self._there))
+        self._add_group(np.flatnonzero(self._there))
 
-    def _group(self, entries: Rows) -> None:
+    def _add_group(self, entries: Rows) -> None:
         classes = _size_class(self._radius[entries])
         chosen = [entries[classes == size] for size in np.unique(classes)]
-        self._groups = [_Group(self._place[each], each, float(self._radius[each].max())) for each in chosen]
+        self._groups = [_DiscGroup(self._place[each], each, float(self._radius[each].max())) for each in chosen]
 
     def find_overlaps(self, place: Floats, radius: Floats, order: Rows | None = None) -> tuple[Rows, Rows, Floats]:
         """Return pairs of given discs and entries that overlap: the numbers of both, and their distance as a share of the
@@ -121,12 +121,12 @@ class Occupancy:
             widest = float(radius[rows].max())
             for group in self._groups:
                 if order is not None and 2 * group.widest < widest:
-                    i, entry, share = self._met_most(place, radius, order, rows, group)
+                    i, entry, share = self._worst_overlap(place, radius, order, rows, group)
                 else:
                     reach = (widest + group.widest) * _GAP_FACTOR * 1.001 + self._rounding
                     i, entry = pairs_between(place[rows], group.place, reach)
                     i, entry = rows[i], group.entries[entry]
-                    share = self._share(place[i], radius[i], entry)
+                    share = self._distance_share(place[i], radius[i], entry)
                 meets = (share < 1) & self._there[entry]
                 if order is not None:
                     meets &= self._order[entry] < order[i]
@@ -136,7 +136,7 @@ class Occupancy:
         i, entry, share = (np.concatenate(part) for part in zip(*pairs, strict=True))
         return i, entry, share
 
-    def _share(self, place: Floats, radius: Floats, entry: Rows) -> Floats:
+    def _distance_share(self, place: Floats, radius: Floats, entry: Rows) -> Floats:
         """The distance of discs and entries as a share of that at which they would touch."""
         displacement = place - self._place[entry]
         square = (
@@ -147,7 +147,9 @@ class Occupancy:
         share: Floats = np.sqrt(square) / ((radius + self._radius[entry]) * _GAP_FACTOR + self._rounding)
         return share
 
-    def _met_most(self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _Group) -> tuple[Rows, Rows, Floats]:
+    def _worst_overlap(
+        self, place: Floats, radius: Floats, order: Rows, rows: Rows, group: _DiscGroup
+    ) -> tuple[Rows, Rows, Floats]:
         """Return, for each of some discs, the earlier entry of a group with the most overlap. It checks the nearest entries,
         until none farther away can overlap more."""
         entry, least = np.zeros(len(rows), np.intp), np.full(len(rows), np.inf)
@@ -157,7 +159,7 @@ class Occupancy:
             at, wide = place[rows[pending_discs]], radius[rows[pending_discs]]
             away, near = group.tree.query(at, np.arange(1, count + 1))
             near = group.entries[near]
-            share = self._share(at[:, None], wide[:, None], near)
+            share = self._distance_share(at[:, None], wide[:, None], near)
             share[~self._there[near] | (self._order[near] >= order[rows[pending_discs], None])] = np.inf
             best = share.argmin(axis=1)
             entry[pending_discs], least[pending_discs] = (
@@ -169,14 +171,14 @@ class Occupancy:
             count *= 2
         return rows, entry, least
 
-    def free(self, place: Floats, radius: Floats, order: Rows) -> Floats:
+    def freedom(self, place: Floats, radius: Floats, order: Rows) -> Floats:
         """Return how free the given discs are of all earlier ones (n): 1 is free, 0 is in the centre of another."""
         i, _, share = self.find_overlaps(place, radius, order)
         least = np.ones(len(place))
         np.minimum.at(least, i, share)
         return least
 
-    def give_way(self, entries: Rows) -> tuple[Rows, Floats]:
+    def displaced_entries(self, entries: Rows) -> tuple[Rows, Floats]:
         """Return the entries that must move after the given ones were added (possibly these themselves), and how free their
         places were."""
         i, entry, share = self.find_overlaps(self._place[entries], self._radius[entries])
@@ -192,18 +194,20 @@ class Occupancy:
         return self._order[entries]
 
 
-def takes_room(radius: NDArray[np.floating[Any]]) -> Flags:
+def has_extent(radius: NDArray[np.floating[Any]]) -> Flags:
     """Return which radii keep other agents away: those that are above 0 and not NaN."""
     wide: Flags = np.isfinite(radius) & (radius > 0)
     return wide
 
 
-def spread(occupancy: Occupancy, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int) -> tuple[Drawn, Flags]:
+def spread_agents(
+    occupancy: Occupancy, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int
+) -> tuple[DrawnPlaces, Flags]:
     """Return positions for agents in id order, and flags for those with a position where they touch no other. `first`: the first
     agent's number in the order of all starting agents. The others get the position where they touch earlier agents least.
 
     Agents with a free position are in the room afterwards; the others are not."""
-    chosen: Drawn | None = None
+    chosen: DrawnPlaces | None = None
     fits = np.zeros(len(ids), np.bool_)
     rounds: tuple[int, ...] = _ROUNDS[0][1]
     begin, size = 0, _BATCH
@@ -211,7 +215,7 @@ def spread(occupancy: Occupancy, draw: Draw, ids: NDArray[np.int64], radius: Flo
         part = slice(begin, begin + size)
         drawn, held = _batch(occupancy, draw, ids[part], radius[part], first + begin, rounds)
         fits[part] = held
-        chosen = drawn if chosen is None else _joined(chosen, drawn)
+        chosen = drawn if chosen is None else _join_places(chosen, drawn)
         failed = np.count_nonzero(~held)
         rounds = next(rounds for share, rounds in _ROUNDS if failed <= share * held.size)
         begin += size
@@ -221,11 +225,11 @@ def spread(occupancy: Occupancy, draw: Draw, ids: NDArray[np.int64], radius: Flo
 
 def _batch(
     occupancy: Occupancy, draw: Draw, ids: NDArray[np.int64], radius: Floats, first: int, rounds: tuple[int, ...]
-) -> tuple[Drawn, Flags]:
-    n, wide = len(ids), takes_room(radius)
+) -> tuple[DrawnPlaces, Flags]:
+    n, wide = len(ids), has_extent(radius)
     held, best, entry_of = np.zeros(n, np.bool_), np.full(n, -2.0), np.full(n, -1, np.intp)
     order = np.arange(first, first + n)
-    chosen: Drawn | None = None
+    chosen: DrawnPlaces | None = None
     attempt = 0
     for tries in rounds:
         left = np.flatnonzero(~held)
@@ -247,30 +251,30 @@ def _batch(
         new = left[score >= 1]
         held[new] = True
         new = new[wide[new]]
-        clear_rows = new[_firsts(chosen.place[new], radius[new], 1)]
+        clear_rows = new[_first_per_cell(chosen.place[new], radius[new], 1)]
         crowded = np.setdiff1d(new, clear_rows, assume_unique=True)
         held[crowded], best[crowded] = False, 0.0
         entry_of[clear_rows] = occupancy.add(chosen.place[clear_rows], radius[clear_rows], order[clear_rows])
-        losing, share = occupancy.give_way(entry_of[clear_rows])
+        losing, share = occupancy.displaced_entries(entry_of[clear_rows])
         occupancy.remove(losing)
         displaced_rows = occupancy.order(losing) - first
         held[displaced_rows], best[displaced_rows] = False, share
-    occupancy.settle()
+    occupancy.drop_removed()
     assert chosen is not None
     return chosen, held
 
 
-def _score(occupancy: Occupancy, drawn: Drawn, rows: Rows, radius: Floats, wide: Flags, order: Rows) -> Floats:
+def _score(occupancy: Occupancy, drawn: DrawnPlaces, rows: Rows, radius: Floats, wide: Flags, order: Rows) -> Floats:
     """Return 1 for a free position, less for an occupied one, and -1 for a position where no agent may start."""
     score = np.where(drawn.good, 1.0, -1.0)
     good_rows = np.flatnonzero(drawn.good & wide[rows])
-    score[good_rows] = occupancy.free(drawn.place[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
+    score[good_rows] = occupancy.freedom(drawn.place[good_rows], radius[rows[good_rows]], order[rows[good_rows]])
     return score
 
 
-def _joined(one: Drawn, other: Drawn) -> Drawn:
+def _join_places(one: DrawnPlaces, other: DrawnPlaces) -> DrawnPlaces:
     place, up = np.concatenate([one.place, other.place]), np.concatenate([one.up, other.up])
-    return Drawn(Footing.joined(one.footing, other.footing), place, up, np.concatenate([one.good, other.good]))
+    return DrawnPlaces(Footing.concatenate(one.footing, other.footing), place, up, np.concatenate([one.good, other.good]))
 
 
 def _size_class(radius: Floats) -> NDArray[np.int64]:
@@ -278,7 +282,7 @@ def _size_class(radius: Floats) -> NDArray[np.int64]:
     return np.frexp(radius)[1].astype(np.int64)
 
 
-def _firsts(place: Floats, radius: Floats, fine: int) -> Rows:
+def _first_per_cell(place: Floats, radius: Floats, fine: int) -> Rows:
     """Return the first disc per size class and cell, ascending. A cell is too small for two discs that do not overlap, or `fine`
     times smaller. Few enough discs remain to count their pairs."""
     size = _size_class(radius)

@@ -7,13 +7,13 @@ import math
 import numpy as np
 
 from antdsl.diagnostics import Report
-from antdsl.fields.solved import Solved
+from antdsl.fields.solved import PathFlow
 from antdsl.plan.ir import SpeciesPlan
-from antdsl.plan.traverse import blocks, needed, operands, statements
+from antdsl.plan.traverse import blocks, operands, required_nodes, statements
 from antdsl.runtime.world import World
 from antdsl.scene import Scene
 from antdsl.scene.setting import SolvedFlow
-from antdsl.scene.staging.item_placement import beside
+from antdsl.scene.staging.item_placement import is_off_surface
 
 _HELP = "open a way for it, move the target or the crowd, or write what they do there: `when not reachable({flow}) -> …`"
 _REACHABLE = "flow.reachable"
@@ -22,9 +22,9 @@ _UNREACHABLE_HELP = (
 )
 
 
-def start_findings(scene: Scene, world: World) -> Report:
+def start_warnings(scene: Scene, world: World) -> Report:
     """Return warnings about a world's crowd, each with its place in the scene."""
-    report = crowding(scene, world)
+    report = crowding_warnings(scene, world)
     for name, flow in world.setting.flows.items():
         if not isinstance(flow, SolvedFlow) or name not in world.flows:
             continue
@@ -36,7 +36,7 @@ def start_findings(scene: Scene, world: World) -> Report:
         for species, plan in world.plan.species.items():
             count = len(world.populations[species])
             uses = _flow_uses(plan).get(name, set())
-            cut_off = count - reaching(world, species, name) if count and uses - {_REACHABLE} else 0
+            cut_off = count - count_reaching(world, species, name) if count and uses - {_REACHABLE} else 0
             if cut_off:
                 words = f"{cut_off:,} of {count:,} `{species}` stand where no path leads to the target of `{name}`"
                 help = _UNREACHABLE_HELP if _REACHABLE in uses else _HELP.format(flow=name)
@@ -48,13 +48,13 @@ def _excessive_gap(world: World, name: str) -> float:
     """How far (mm) a target is from the ground, where that is more than a tenth of the ground's extent; else 0. A target is
     often written with another height than the ground has there, which matters little."""
     flow = world.flows[name]
-    if not isinstance(flow, Solved) or flow.grounds is None:
+    if not isinstance(flow, PathFlow) or flow.grounds is None:
         return 0.0
     points = flow.grounds.land.points
     return flow.gap if len(points) and flow.gap > 0.1 * float(np.ptp(points, axis=0).max()) else 0.0
 
 
-def reaching(world: World, species: str, flow: str) -> int:
+def count_reaching(world: World, species: str, flow: str) -> int:
     """How many agents of a species stand where a path leads to the target of a flow."""
     population = world.populations[species]
     place, up = population.position.astype(np.float64), population.normal.astype(np.float64)
@@ -65,18 +65,18 @@ def _flow_uses(species: SpeciesPlan) -> dict[str, set[str]]:
     """Return, by the name of a flow, the operations with which a species reads it."""
     uses: dict[str, set[str]] = {}
     operand_nodes = [node for _, block in blocks(species) for _, each in statements(block) for node in operands(each)]
-    for node in needed([*operand_nodes, *species.lazy]):
+    for node in required_nodes([*operand_nodes, *species.lazy]):
         if node.op.startswith("flow."):
             uses.setdefault(str(node.attrs[0]), set()).add(node.op)
     return uses
 
 
-def crowding(scene: Scene, world: World) -> Report:
+def crowding_warnings(scene: Scene, world: World) -> Report:
     """Return warnings for crowd lines that had no space for all agents at binding, each located at the line's place. A line that
     lies off all surfaces is skipped, because it was reported before."""
     report, setting = Report(), world.setting
     for line in world.crowded:
-        if beside(setting.crowds[line.group].place, setting.surfaces, setting.solids, scene.model.up):
+        if is_off_surface(setting.crowds[line.group].place, setting.surfaces, setting.solids, scene.model.up):
             continue
         low, high = (f"{radius:.3g}" for radius in line.radius)
         wide = f"{low} mm" if low == high else f"{low} to {high} mm"
@@ -88,7 +88,7 @@ def crowding(scene: Scene, world: World) -> Report:
         if place.apart is not None:
             help = "write a smaller `count`, a larger place, or a shorter length for `apart`"
         elif line.larger is not None:
-            larger = f"`radius: {_rounded_up(line.larger / scene.model.unit_mm)} {scene.model.units}`"
+            larger = f"`radius: {_round_up(line.larger / scene.model.unit_mm)} {scene.model.units}`"
             help = f"write {larger}, a smaller `count`, or a smaller `radius` in the program"
         elif line.sides:
             help = "cover its sides and its underside too with `by: area`, or write a smaller `count`"
@@ -98,7 +98,7 @@ def crowding(scene: Scene, world: World) -> Report:
     return report
 
 
-def _rounded_up(value: float) -> str:
+def _round_up(value: float) -> str:
     """To two digits."""
     step = 10.0 ** (math.floor(math.log10(value)) - 1)
     return f"{math.ceil(value / step) * step:g}"

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import elementary, randomness
 from antdsl.numerics import vectors as vec
-from antdsl.runtime.binding.spacing import Drawn
-from antdsl.runtime.binding.surface_area import Area, areas
-from antdsl.runtime.moving.obstacles import mesh_of
+from antdsl.runtime.binding.spacing import DrawnPlaces
+from antdsl.runtime.binding.surface_area import FaceArea, areas
+from antdsl.runtime.moving.obstacles import obstacle_mesh
 from antdsl.runtime.world import World
 from antdsl.scene.setting import CrowdData, MeshData
 
@@ -38,8 +38,8 @@ class StartPlaces:
         setting = world.setting
         self._grounds = {**setting.surfaces, **{name: solid.mesh for name, solid in setting.solids.items()}}
         self._on = crowd.place.on or tuple(setting.surfaces) or tuple(self._grounds)
-        self._faces: Area | None = None
-        self._dense: Area | None = None
+        self._faces: FaceArea | None = None
+        self._dense: FaceArea | None = None
         if crowd.place.by_area and not self.given and self._grounds:
             self._faces = areas(world, self._on, crowd.place.density, crowd.place.around, crowd.place.radius)
 
@@ -58,12 +58,13 @@ class StartPlaces:
             total_area = float(np.pi * radius * radius)
         else:
             total_area = areas(self._world, self._on, None, None, None).total
-            displacement = drawn.place - self._points(ids, 0)  # what is dropped onto another face does not lie open to above
+            # what is dropped onto another face does not lie open to above
+            displacement = drawn.place - self._target_points(ids, 0)
             good = good & (vec.length(vec.columns(displacement, np.float64)) < _SAME)
         share = float(np.count_nonzero(good)) / _SAMPLE
         return total_area if share == 1 else float(f"{total_area * share:.1e}")
 
-    def larger(self, cover: float) -> float | None:
+    def sufficient_radius(self, cover: float) -> float | None:
         """Return a radius (mm) of the place at which agents that cover `cover` (mm²) fit; None if there is none."""
         radius = self.place.radius
         for _ in range(_LARGER):
@@ -76,7 +77,7 @@ class StartPlaces:
             radius *= min(max(math.sqrt(cover / (COVERED * area)), 1.01), 8.0) if area > 0 else 8.0
         return None
 
-    def sides(self, cover: float) -> bool:
+    def fits_on_all_sides(self, cover: float) -> bool:
         """Return whether agents that cover `cover` (mm²), and begin anywhere on a surface from above, would fit on all of its
         sides."""
         place = self.place
@@ -85,62 +86,62 @@ class StartPlaces:
         wider = StartPlaces(self._world, replace(self._crowd, place=replace(place, by_area=True))).area()
         return wider is not None and wider * COVERED >= cover
 
-    def draw(self, ids: Ids, tries: range) -> Drawn:
+    def draw(self, ids: Ids, tries: range) -> DrawnPlaces:
         """Places for agents: those of the first try, then those of the next."""
         world, place = self._world, self.place
         if place.inside is not None and world.ground.meshes is not None:
-            return self._seen_from(np.asarray(place.inside, np.float64) - world.origin, ids, tries)
+            return self._draw_by_rays(np.asarray(place.inside, np.float64) - world.origin, ids, tries)
         if self._faces is not None:
-            return self._by_area(self._faces, ids, tries)
-        points = np.concatenate([self._points(ids, attempt) for attempt in tries])
+            return self._draw_by_area(self._faces, ids, tries)
+        points = np.concatenate([self._target_points(ids, attempt) for attempt in tries])
         if self.given and place.by_area:
             footing, has_ground = world.ground.nearest(points, place.on or None)[0], np.ones(len(points), np.bool_)
-            return Drawn(footing, world.ground.position(footing), world.ground.normal(footing), has_ground)
+            return DrawnPlaces(footing, world.ground.position(footing), world.ground.normal(footing), has_ground)
         footing, has_ground = world.ground.place(points, world.up, place.on or None)
         at = world.ground.position(footing)
         up = np.array(np.broadcast_to(world.up, at.shape))
-        return Drawn(footing, at, up, has_ground & ~inside_obstacle(world, at) if not self.given else has_ground)
+        return DrawnPlaces(footing, at, up, has_ground & ~is_inside_obstacle(world, at) if not self.given else has_ground)
 
-    def _uniform(self, ids: Ids, index: int, site: str = "place") -> NDArray[np.float32]:
+    def _draw_uniform(self, ids: Ids, index: int, site: str = "place") -> NDArray[np.float32]:
         seed = self._world.setting.seed if self.place.seed is None else self.place.seed
         return randomness.uniform(seed, PLACEMENT_FRAME, self._species, site, index, ids)
 
-    def _points(self, ids: Ids, attempt: int) -> Floats:
+    def _target_points(self, ids: Ids, attempt: int) -> Floats:
         """Return the requested positions (n, 3), to be dropped onto the ground."""
         world, place = self._world, self.place
         if place.points is not None and len(place.points):
             return np.asarray(place.points, np.float64)[ids % len(place.points)] - world.origin
-        u, v, w = (self._uniform(ids, 4 * attempt + k) for k in range(3))
+        u, v, w = (self._draw_uniform(ids, 4 * attempt + k) for k in range(3))
         if place.around is not None or not self._grounds:
             middle = np.zeros(3) if place.around is None else np.asarray(place.around, np.float64) - world.origin
             radius = _DISC if place.radius is None else place.radius
             away, angle = np.sqrt(u).astype(np.float64) * radius, v * TURN
             up = vec.columns(np.broadcast_to(world.up, (len(ids), 3)), np.float64)
-            side = vec.across(up)
+            side = vec.any_perpendicular(up)
             ahead = vec.cross(up, side)
             disc = vec.add(vec.scale(side, away * elementary.cos(angle)), vec.scale(ahead, away * elementary.sin(angle)))
             return middle + vec.rows(disc)
         if place.density is not None:
             if self._dense is None:
                 self._dense = areas(world, place.on or tuple(world.surface_index), place.density, None, None)
-            return self._dense.points(u, v, w, self._uniform(ids, 4 * attempt + 3))[3]
-        return _on_faces([self._grounds[name] for name in self._on], u, v, w) - world.origin
+            return self._dense.points(u, v, w, self._draw_uniform(ids, 4 * attempt + 3))[3]
+        return _points_on_faces([self._grounds[name] for name in self._on], u, v, w) - world.origin
 
-    def _by_area(self, faces: Area, ids: Ids, tries: range) -> Drawn:
+    def _draw_by_area(self, faces: FaceArea, ids: Ids, tries: range) -> DrawnPlaces:
         """Return places spread evenly over faces of any orientation, with up along their normals."""
-        draws = [np.concatenate([self._uniform(ids, 4 * attempt + k) for attempt in tries]) for k in range(4)]
+        draws = [np.concatenate([self._draw_uniform(ids, 4 * attempt + k) for attempt in tries]) for k in range(4)]
         footing, up, can_stand = faces.at(*draws)
         at = self._world.ground.position(footing)
-        return Drawn(footing, at, up, can_stand & ~inside_obstacle(self._world, at))
+        return DrawnPlaces(footing, at, up, can_stand & ~is_inside_obstacle(self._world, at))
 
-    def _seen_from(self, start: Floats, ids: Ids, tries: range) -> Drawn:
+    def _draw_by_rays(self, start: Floats, ids: Ids, tries: range) -> DrawnPlaces:
         """Return the first hits of rays from a place in drawn directions, with ups towards the place. A ray that hits no mesh, or
         one not in `on`, gives no place: the surface nearest to its start."""
         world, meshes = self._world, self._world.ground.meshes
         assert meshes is not None
         mesh_numbers = [meshes.names.index(name) for name in (self.place.on or meshes.names) if name in meshes.names]
         far = meshes.extent * 1.8 + float(np.abs(start - (meshes.low + meshes.high) / 2).max())
-        u, v = (np.concatenate([self._uniform(ids, 2 * attempt + k, "inside") for attempt in tries]) for k in range(2))
+        u, v = (np.concatenate([self._draw_uniform(ids, 2 * attempt + k, "inside") for attempt in tries]) for k in range(2))
         height = 1.0 - 2.0 * u.astype(np.float64)  # even over a ball, by a theorem of Archimedes
         flat, angle = np.sqrt(np.maximum(1.0 - height * height, 0.0)), v * TURN
         directions = np.stack([flat * elementary.cos(angle), height, flat * elementary.sin(angle)], axis=1)
@@ -148,13 +149,13 @@ class StartPlaces:
         has_hit, part, footing = meshes.trace_hits(begin, directions * far)
         good = has_hit & np.isin(footing.mesh, mesh_numbers)
         at = np.where(good[:, None], begin + directions * (far * part)[:, None], begin)
-        good &= ~inside_obstacle(world, at)
+        good &= ~is_inside_obstacle(world, at)
         standing = world.ground.nearest(at)[0]
         up = np.where(good[:, None], -directions, world.up)
-        return Drawn(standing, world.ground.position(standing), up, good)
+        return DrawnPlaces(standing, world.ground.position(standing), up, good)
 
 
-def _on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.float32], w: NDArray[np.float32]) -> Floats:
+def _points_on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.float32], w: NDArray[np.float32]) -> Floats:
     """Points spread evenly over the area of some meshes."""
     corners = np.concatenate([m.vertices[m.faces] for m in meshes])
     edge, other = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -167,7 +168,7 @@ def _on_faces(meshes: list[MeshData], u: NDArray[np.float32], v: NDArray[np.floa
     return points
 
 
-def inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
+def is_inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
     """Whether points lie in an obstacle: the first face above them shows its back."""
     is_inside = np.zeros(len(points), np.bool_)
     up = np.broadcast_to(world.up, points.shape)
@@ -175,7 +176,7 @@ def inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
         mesh = world.setting.obstacles.get(name)
         if mesh is None or not len(mesh.faces):
             continue
-        hits = mesh_of(world, name).cast(points, up)
+        hits = obstacle_mesh(world, name).cast(points, up)
         corners = mesh.vertices[mesh.faces[np.maximum(hits.face, 0)]]
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])  # edges: the origin does not matter
         is_inside |= hits.hit & ((normal * up).sum(axis=1) > 0)

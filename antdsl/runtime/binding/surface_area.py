@@ -22,7 +22,7 @@ _QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Area:
+class FaceArea:
     """Triangles (m) to choose places from, each a face or a part of one. Vectors of faces are (k, 3), counted from the origin."""
 
     world: World
@@ -92,7 +92,7 @@ class Area:
         return footing, up, can_stand
 
 
-def areas(world: World, on: tuple[str, ...], density: str | None, around: Point | None, radius: float | None) -> Area:
+def areas(world: World, on: tuple[str, ...], density: str | None, around: Point | None, radius: float | None) -> FaceArea:
     """Return the faces of some surfaces and solids in their current position, within a ball and with the density of a map, if
     given.
 
@@ -106,7 +106,7 @@ def areas(world: World, on: tuple[str, ...], density: str | None, around: Point 
         near = nearest_on_triangle(np.broadcast_to(middle, corner.shape), corners)
         away = float(vec.length(vec.columns(near - middle, np.float64)).min())
         ball = (middle, radius if away <= radius else away + radius)
-        face, weights = _within(ball, corner, edge1, edge2)
+        face, weights = _faces_within(ball, corner, edge1, edge2)
     double = vec.length(vec.cross(vec.columns(edge1, np.float64), vec.columns(edge2, np.float64)))
     span1, span2 = weights[:, 1] - weights[:, 0], weights[:, 2] - weights[:, 0]
     size = double[face] * np.abs(span1[:, 0] * span2[:, 1] - span1[:, 1] * span2[:, 0])
@@ -114,7 +114,7 @@ def areas(world: World, on: tuple[str, ...], density: str | None, around: Point 
     dense = (weight[face, :1] * (1.0 - b1 - b2) + weight[face, 1:2] * b1) + weight[face, 2:] * b2
     cumulative = np.cumsum((dense * size[:, None]).ravel())
     total = float(size[(dense > 0).any(axis=1)].sum() / 2.0)
-    return Area(world, mesh, local, corner, edge1, edge2, face, weights, cumulative, total, ball)
+    return FaceArea(world, mesh, local, corner, edge1, edge2, face, weights, cumulative, total, ball)
 
 
 _Faces = tuple[NDArray[np.int32], NDArray[np.int32], Floats, Floats, Floats, Floats]
@@ -146,7 +146,7 @@ def _faces(world: World, on: tuple[str, ...], density: str | None) -> _Faces:
     return np.concatenate(meshes), np.concatenate(locals_), corner, edge1, edge2, weight
 
 
-def _within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Floats) -> tuple[NDArray[np.int64], Floats]:
+def _faces_within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Return triangles that cover the part of the faces in a ball: faces (m) and weights (m, 3, 2) of their corners. A triangle
     that reaches outside is cut into four while it is larger than half the radius."""
     middle, radius = ball
@@ -163,12 +163,12 @@ def _within(ball: tuple[Floats, float], corner: Floats, edge1: Floats, edge2: Fl
         face, weights = face[large], weights[large]
         if not len(face):
             break
-        face, weights = _cut(face, weights, at[large])
+        face, weights = _cut_triangles(face, weights, at[large])
     faces, parts = zip(*pieces, strict=True)
     return np.concatenate(faces), np.concatenate(parts)
 
 
-def _cut(face: NDArray[np.int64], weights: Floats, at: Floats) -> tuple[NDArray[np.int64], Floats]:
+def _cut_triangles(face: NDArray[np.int64], weights: Floats, at: Floats) -> tuple[NDArray[np.int64], Floats]:
     """Cut triangles with corners `at` (m, 3, 3), given by face and weights, into four at their edge midpoints. Thin triangles are
     cut into two at the midpoint of the longest edge: ever more of their quarters would lie in the ball."""
     sides = ((np.roll(at, -1, axis=1) - at) ** 2).sum(axis=2)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl import limits
-from antdsl.fields.face_points import Floats, LatticeTooFine, flow_cuts, slots_of
+from antdsl.fields.face_points import Floats, LatticeTooFine, count_slots, edge_pieces
 from antdsl.scene.geometry.meshes import mesh_area
 from antdsl.scene.setting import MeshData, Painted, Setting
 
@@ -21,7 +21,7 @@ _AGENT = 600  # of an agent, whatever its species: a footing, the results of wal
 _LEG = 550  # of a leg that walks
 
 
-class Work(NamedTuple):
+class WorkEstimate(NamedTuple):
     """The needs of one thing of the world: `number` of `parts`, and the approximate bytes."""
 
     thing: str
@@ -32,48 +32,48 @@ class Work(NamedTuple):
 
 def world_work(
     setting: Setting, fields: Mapping[str, tuple[tuple[str, ...], float]], agent_bytes: Mapping[str, int]
-) -> list[Work]:
+) -> list[WorkEstimate]:
     """The work for each thing of a setting. `fields`: by name their surfaces and the edge (mm) of their cells; `agent_bytes`: the
     registers of one agent of each species, which a step has twice. Pairs of neighbours and contacts are not counted."""
     return [*_meshes(setting), *_fields(setting, fields), *_flows(setting), *_agents(setting, agent_bytes)]
 
 
-def _saturated(count: float) -> int:
+def _saturate(count: float) -> int:
     """Return a whole number, also for very large or infinite estimates."""
     return int(min(count, 2.0**62)) if count > 0 else 0
 
 
-def _work(thing: str, count: float, parts: str, each: int) -> Work:
-    return Work(thing, _saturated(count), parts, _saturated(count * each))
+def _make_estimate(thing: str, count: float, parts: str, each: int) -> WorkEstimate:
+    return WorkEstimate(thing, _saturate(count), parts, _saturate(count * each))
 
 
-def _meshes(setting: Setting) -> Iterator[Work]:
+def _meshes(setting: Setting) -> Iterator[WorkEstimate]:
     for kind, meshes in (("surface", setting.surfaces), ("obstacle", setting.obstacles)):
         for name, mesh in meshes.items():
-            yield _work(f"{kind} {name}", len(mesh.faces), "faces", _FACE)
+            yield _make_estimate(f"{kind} {name}", len(mesh.faces), "faces", _FACE)
     for name, solid in setting.solids.items():
         across = np.ptp(solid.mesh.vertices, axis=0) / solid.voxel + 1 if len(solid.mesh.vertices) else np.zeros(3)
-        yield _work(f"solid {name}", float(np.prod(across)), "voxels at most", _VOXEL)
+        yield _make_estimate(f"solid {name}", float(np.prod(across)), "voxels at most", _VOXEL)
 
 
-def _fields(setting: Setting, fields: Mapping[str, tuple[tuple[str, ...], float]]) -> Iterator[Work]:
+def _fields(setting: Setting, fields: Mapping[str, tuple[tuple[str, ...], float]]) -> Iterator[WorkEstimate]:
     for name, (surfaces, edge) in fields.items():
         area = sum(mesh_area(setting.surfaces[each]) for each in surfaces if each in setting.surfaces)
-        yield _work(f"field {name}", area / edge / edge, "cells at least", _CELL)
+        yield _make_estimate(f"field {name}", area / edge / edge, "cells at least", _CELL)
 
 
-def _flows(setting: Setting) -> Iterator[Work]:
-    longest = {name: _longest(mesh) for name, mesh in setting.surfaces.items()} if setting.flows else {}
+def _flows(setting: Setting) -> Iterator[WorkEstimate]:
+    longest = {name: _longest_edges(mesh) for name, mesh in setting.surfaces.items()} if setting.flows else {}
     extent = _extent(setting)
     for name, flow in setting.flows.items():
         if isinstance(flow, Painted) or not longest:
             continue
         edges = np.concatenate([each if not flow.on or of in flow.on else np.zeros_like(each) for of, each in longest.items()])
         try:
-            count = slots_of(flow_cuts(flow, edges, extent))
+            count = count_slots(edge_pieces(flow, edges, extent))
         except LatticeTooFine:  # which binding refuses
             count = limits.FLOW_POINTS
-        yield _work(f"flow {name}", count, "points at most", _POINT)
+        yield _make_estimate(f"flow {name}", count, "points at most", _POINT)
 
 
 def _extent(setting: Setting) -> float:
@@ -83,17 +83,17 @@ def _extent(setting: Setting) -> float:
     return float(np.ptp(corners, axis=0).max())
 
 
-def _longest(mesh: MeshData) -> Floats:
+def _longest_edges(mesh: MeshData) -> Floats:
     corners = mesh.vertices[mesh.faces]
     edges = corners[:, [1, 2, 0]] - corners
     longest: Floats = np.sqrt((edges * edges).sum(axis=2)).max(axis=1) if len(corners) else np.zeros(0)
     return longest
 
 
-def _agents(setting: Setting, agent_bytes: Mapping[str, int]) -> Iterator[Work]:
+def _agents(setting: Setting, agent_bytes: Mapping[str, int]) -> Iterator[WorkEstimate]:
     counts: dict[str, int] = {}
     for crowd in setting.crowds:
         counts[crowd.species] = counts.get(crowd.species, 0) + crowd.count
     for name, count in counts.items():
         legs = len(setting.legs[name].length) if name in setting.legs else 0
-        yield _work(f"species {name}", count, "agents", 2 * agent_bytes.get(name, 0) + _AGENT + _LEG * legs)
+        yield _make_estimate(f"species {name}", count, "agents", 2 * agent_bytes.get(name, 0) + _AGENT + _LEG * legs)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, fetch_ahead, independent, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, cross, direction, dot, flat, minus
+from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, cross, dot, flat, minus, unit_or_perpendicular
 from antdsl.runtime.world import Population
 
 PLACE = 0  # the first row of three
@@ -29,7 +29,7 @@ def place_bodies(population: Population, buffer_name: str, threads: int) -> NDAr
     n, now = len(population), population.now
     (bodies,) = population.get_buffers(buffer_name, 1, (_ROWS, n), np.float64)
     if n:
-        columns = vec.named(now, "heading"), vec.named(now, "up"), now["size"]
+        columns = vec.vector_registers(now, "heading"), vec.vector_registers(now, "up"), now["size"]
         work = partial(_place_bodies, population.position, *columns, population.in_id_order(), bodies)
         parallel.in_parts(work, n, threads, parallel.LIGHT)
     return bodies
@@ -62,8 +62,8 @@ def _place_bodies(
 @inlined
 def orthonormal_axes(heading: Vec3, up: Vec3) -> tuple[Vec3, Vec3, Vec3]:
     """Return the unit vectors ahead, up and aside of a body: the unchanged heading, and `up` made perpendicular to it."""
-    ahead = direction(heading, up)
-    straight = direction(flat(up, ahead), ahead)
+    ahead = unit_or_perpendicular(heading, up)
+    straight = unit_or_perpendicular(flat(up, ahead), ahead)
     return ahead, straight, cross(ahead, straight)
 
 
@@ -115,10 +115,10 @@ def to_body(body: Body, at: Vec3) -> Vec3F32:
     """Return a world position (mm) relative to a body, in float32 body lengths."""
     place, ahead, up, aside, size = body
     by = _F(1.0 / max(size, _LEAST))
-    away = _single(minus(at, place))
-    return dot(away, _single(ahead)) * by, dot(away, _single(up)) * by, dot(away, _single(aside)) * by
+    away = _to_float32(minus(at, place))
+    return dot(away, _to_float32(ahead)) * by, dot(away, _to_float32(up)) * by, dot(away, _to_float32(aside)) * by
 
 
 @inlined
-def _single(v: Vec3) -> Vec3F32:
+def _to_float32(v: Vec3) -> Vec3F32:
     return _F(v[0]), _F(v[1]), _F(v[2])

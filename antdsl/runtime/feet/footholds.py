@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.casting.grid_rays import AHEAD, Grid, fetch_rays, first_hit
+from antdsl.casting.grid_rays import AHEAD, Grid, first_hit, prefetch_rays
 from antdsl.casting.ray_walks import Rings, fetch_start, walked_hit
 from antdsl.casting.tolerances import FURTHER, UNSURE
 from antdsl.machine_code.kernels import (
@@ -27,12 +27,12 @@ from antdsl.machine_code.kernels import (
     kernel,
     scratch,
 )
-from antdsl.numerics.kernel_vectors import dot, minus, of, put
+from antdsl.numerics.kernel_vectors import dot, minus, of, put_vector
 from antdsl.runtime.feet.bodies import body_at, fetch_columns
 from antdsl.runtime.feet.gaits import HIP, REACHED, SINK
 from antdsl.runtime.feet.state import NOTHING
 from antdsl.runtime.feet.stepping import LIFTS, Legs, Trunks
-from antdsl.runtime.feet.trunk import lean
+from antdsl.runtime.feet.trunk import lean_point
 
 _F = np.float32
 NEAR = 0.3  # of a leg: a hit this near to the requested position is used
@@ -83,7 +83,7 @@ def aim(
             i, leg = requests[k] // count, requests[k] % count
             place, ahead, up, aside, size = body_at(bodies, i)
             rise, slope = trunks[1], trunks[2]
-            x, y, z = lean((slope[0, i], slope[1, i]), (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
+            x, y, z = lean_point((slope[0, i], slope[1, i]), (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
             frames = left[leg, i]
             a, c = np.float64(x + covered[0, leg, i] * frames), np.float64(z + covered[1, leg, i] * frames)
             b = np.float64(y + rise[i] / _F(size))
@@ -159,7 +159,7 @@ def cast(
                 rays[near] = k
                 near += 1
         if near == AHEAD or (k == end and near > 0):
-            fetch_rays(grid, origins, zero, displacements, rays, cells, near)
+            prefetch_rays(grid, origins, zero, displacements, rays, cells, near)
             for n in range(near):
                 ray = rays[n]
                 a, w = of(origins, ray), of(displacements, ray)
@@ -179,7 +179,7 @@ def _put_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) -> None:
     part, place, on, face, weight = hits
     if t < part[k]:
         part[k], on[k], face[k], weight[0, k], weight[1, k] = t, number, 0, 0.0, 0.0
-        put(place, k, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
+        put_vector(place, k, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
 
 
 @kernel
@@ -192,8 +192,8 @@ def judge(
     for k in range(begin, end):
         if quick[k]:
             continue
-        fits[k] = _reaches(seekers, hits, k, k)
-        if not (fits[k] and _miss(seekers, hits, k, k) <= NEAR * longest[k]):
+        fits[k] = _is_in_reach(seekers, hits, k, k)
+        if not (fits[k] and _miss_distance(seekers, hits, k, k) <= NEAR * longest[k]):
             rows[begin + count] = k
             count += 1
     return begin, count
@@ -247,17 +247,17 @@ def choose(
         k = rows[n]
         least = np.inf
         if fits[k]:
-            least = _miss(seekers, hits, k, k)
+            least = _miss_distance(seekers, hits, k, k)
         if not least < np.inf:
             _clear(hits, k)
         if np.isfinite(level[0][n]):
-            if _reaches(seekers, level, k, n):
-                miss = _miss(seekers, level, k, n)
+            if _is_in_reach(seekers, level, k, n):
+                miss = _miss_distance(seekers, level, k, n)
                 if miss < least:
                     least = miss
                     _copy(hits, k, level, n)
-        elif _reaches(seekers, down, k, n):
-            miss = _miss(seekers, down, k, n)
+        elif _is_in_reach(seekers, down, k, n):
+            miss = _miss_distance(seekers, down, k, n)
             if miss < least:
                 least = miss
                 _copy(hits, k, down, n)
@@ -275,7 +275,7 @@ def accept(seekers: Seekers, rows: Array1[I64], close: Hits, sight_hits: Hits, h
         k = rows[n]
         gap = minus(of(sight_hits[1], n), of(close[1], n))
         sight = not np.isfinite(sight_hits[0][n]) or np.sqrt(dot(gap, gap)) < 1e-3 * seekers[3][k]
-        if sight and _reaches(seekers, close, k, n):
+        if sight and _is_in_reach(seekers, close, k, n):
             _copy(hits, k, close, n)
 
 
@@ -303,7 +303,7 @@ def settle(
 
 
 @inlined
-def _reaches(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
+def _is_in_reach(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
     """Return whether hit `n` is in reach of seeker `k`: its foot joint would be no farther from the hip than the leg is long."""
     hip, up, leg, sole = of(seekers[0], k), of(seekers[2], k), seekers[3][k], seekers[4][k]
     place = of(hits[1], n)
@@ -315,7 +315,7 @@ def _reaches(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
 
 
 @inlined
-def _miss(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
+def _miss_distance(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
     """Return the distance of hit `n` from the target position of seeker `k`."""
     gap = minus(of(hits[1], n), of(seekers[1], k))
     return np.sqrt(dot(gap, gap))
@@ -325,11 +325,11 @@ def _miss(seekers: Any, hits: Any, k: Any, n: Any) -> Any:
 def _copy(to: Any, k: Any, hits: Any, n: Any) -> None:
     to[0][k], to[2][k], to[3][k] = hits[0][n], hits[2][n], hits[3][n]
     to[4][0, k], to[4][1, k] = hits[4][0, n], hits[4][1, n]
-    put(to[1], k, of(hits[1], n))
+    put_vector(to[1], k, of(hits[1], n))
 
 
 @inlined
 def _clear(hits: Any, k: Any) -> None:
     hits[0][k], hits[2][k], hits[3][k] = np.inf, NOTHING, 0
     hits[4][0, k], hits[4][1, k] = 0.0, 0.0
-    put(hits[1], k, (0.0, 0.0, 0.0))
+    put_vector(hits[1], k, (0.0, 0.0, 0.0))

@@ -47,7 +47,7 @@ class Gaits:
         reach = _reach(legs)
         self.least_reach = reach.min()
         longest = legs.length * REACHED
-        rows = [*resting(legs), _OFF * legs.length, legs.length, reach, *legs.hip.T, legs.foot[:, 1], longest * longest]
+        rows = [*rest_positions(legs), _OFF * legs.length, legs.length, reach, *legs.hip.T, legs.foot[:, 1], longest * longest]
         self.legs: Floats = np.array(rows, np.float32)
         self.exact = np.array([legs.length, legs.foot[:, 1]])
 
@@ -89,7 +89,7 @@ def gait_at(gaits: Any, speed: F32, frame_distance: F32, reach: F32) -> Gait:
     return Gait(k, stride, min(duty, _TWO * reach / stride), lift)
 
 
-def resting(legs: LegsData) -> tuple[Floats, Floats]:
+def rest_positions(legs: LegsData) -> tuple[Floats, Floats]:
     """Return where feet rest, ahead and aside of the body, float32[L] each. This is the position in the standing body, but nearer
     to the hip where a stretched leg could not follow a step."""
     down, ahead = legs.foot - legs.hip, _ahead(legs)
@@ -108,5 +108,5 @@ def _ahead(legs: LegsData) -> NDArray[np.float64]:
 
 def _reach(legs: LegsData) -> Floats:
     """Return how far ahead or behind its resting place each foot can be."""
-    reach = _ahead(legs) - np.abs(resting(legs)[0].astype(np.float64) - legs.hip[:, 0])
+    reach = _ahead(legs) - np.abs(rest_positions(legs)[0].astype(np.float64) - legs.hip[:, 0])
     return np.asarray(np.maximum(reach, 0.05 * legs.length), np.float32)

@@ -63,7 +63,7 @@ class GroundHits:
         self.place[:, rows], self.weight[:, rows] = other.place, other.weight
 
 
-class Floor:
+class FootGround:
     """All that feet can stand on, by numbers: the drawn surfaces, obstacles and solids (all if none is drawn), in the setting's
     order."""
 
@@ -75,7 +75,7 @@ class Floor:
         self.meshes = {name: mesh for name, mesh in meshes.items() if name in self.names}
         self.moving = [k for k, name in enumerate(self.names) if name in setting.moves.meshes]
         self._still = {
-            k: _box(self.meshes[name].vertices - world.origin)
+            k: _bounds(self.meshes[name].vertices - world.origin)
             for k, name in enumerate(self.names)
             if name in self.meshes and k not in self.moving and len(self.meshes[name].vertices)
         }
@@ -102,15 +102,15 @@ class Floor:
         hits, threads = GroundHits.none(origin.shape[1]), world.options.threads
         walked = np.full(len(hits.part), -1, np.int16)
         if isinstance(world.ground, Plane):
-            _on_plane(world, origin, displacement, hits)
+            _cast_on_plane(world, origin, displacement, hits)
         for k, name in enumerate(self.names):
             obstacle = world.obstacles.get(name)
-            box = self._box_of(world, k, obstacle)
+            box = self._bounding_box(world, k, obstacle)
             if box is None:
                 continue
             tables = obstacle.tables() if isinstance(obstacle, RayScene) and k not in self.moving else None
             if not isinstance(obstacle, RayScene) or tables is None:
-                near = _meeting(box, origin, displacement)
+                near = _rays_meeting_box(box, origin, displacement)
             else:
                 far = np.empty(len(hits.part), np.int64)
                 rings = obstacle.rings(threads) if k in self._walked else None
@@ -118,16 +118,16 @@ class Floor:
                     work = partial(footholds.walk, tables, rings, k, origin, displacement, starts, hits.columns, walked)
                     parallel.in_parts(work, len(far), threads, _RAYS)
                 work = partial(footholds.cast, tables, box, k, origin, displacement, walked, hits.columns, far)
-                near = parallel.joined(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
+                near = parallel.join_parts(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
             if not near.size:
                 continue
             if isinstance(obstacle, RayScene):
                 sure = most_hit and name in world.setting.surfaces
-                near = near if sure else _close(obstacle, near, origin, displacement)
+                near = near if sure else _rays_near_mesh(obstacle, near, origin, displacement)
                 if near.size:
-                    self._on_mesh(world, k, obstacle, near, (origin, displacement), hits, sure)
+                    self._cast_on_mesh(world, k, obstacle, near, (origin, displacement), hits, sure)
             elif isinstance(obstacle, SolidFeelers):
-                _on_solid(k, obstacle, near, origin, displacement, hits)
+                _cast_on_solid(k, obstacle, near, origin, displacement, hits)
         return hits
 
     def nearest(self, world: World, points: Vectors, reach: NDArray[np.float64]) -> GroundHits:
@@ -136,11 +136,11 @@ class Floor:
         least = reach.copy()
         for k, name in enumerate(self.names):
             obstacle = world.obstacles.get(name)
-            box = self._box_of(world, k, obstacle)
+            box = self._bounding_box(world, k, obstacle)
             if box is None:
                 continue
             near = np.flatnonzero(((points - reach <= box[1][:, None]) & (points + reach >= box[0][:, None])).all(axis=0))
-            near = _within(obstacle, near, points, reach) if isinstance(obstacle, RayScene) else near
+            near = _points_near_mesh(obstacle, near, points, reach) if isinstance(obstacle, RayScene) else near
             if not near.size:
                 continue
             if isinstance(obstacle, RayScene):
@@ -154,10 +154,10 @@ class Floor:
             nearer = distance < least[near]
             rows = near[nearer]
             least[rows] = distance[nearer]
-            hits.put(rows, self._hits(world, k, distance[nearer], place[nearer].T, face[nearer]))
+            hits.put(rows, self._make_hits(world, k, distance[nearer], place[nearer].T, face[nearer]))
         return hits
 
-    def carried(self, world: World, on: NDArray[np.int16], face: NDArray[np.int32], weight: Vectors, place: Vectors) -> None:
+    def move_places(self, world: World, on: NDArray[np.int16], face: NDArray[np.int32], weight: Vectors, place: Vectors) -> None:
         """Move places [3, …] that are on moving things to their current positions."""
         for k in self.moving:
             rows = on == k
@@ -166,14 +166,14 @@ class Floor:
                 a, b, c = (vertices[self.meshes[self.names[k]].faces[face[rows], corner]].T for corner in range(3))
                 place[:, rows] = a + weight[0][rows] * (b - a) + weight[1][rows] * (c - a)
 
-    def _box_of(self, world: World, k: int, obstacle: object) -> tuple[Vectors, Vectors] | None:
+    def _bounding_box(self, world: World, k: int, obstacle: object) -> tuple[Vectors, Vectors] | None:
         if isinstance(obstacle, SolidFeelers):
             return obstacle.volume.low, obstacle.volume.high
         if k in self.moving:
-            return _box(vertices_at(world, self.names[k], world.display_frame))
+            return _bounds(vertices_at(world, self.names[k], world.display_frame))
         return self._still.get(k)
 
-    def _on_mesh(
+    def _cast_on_mesh(
         self,
         world: World,
         k: int,
@@ -188,9 +188,9 @@ class Floor:
         which, part, _, face = obstacle.cast_within(begin, step, world.options.threads, most_hit)
         nearer = part < hits.part[near[which]]
         which, part, face = which[nearer], part[nearer], face[nearer]
-        hits.put(near[which], self._hits(world, k, part, a[:, which] + w[:, which] * part, face))
+        hits.put(near[which], self._make_hits(world, k, part, a[:, which] + w[:, which] * part, face))
 
-    def _hits(self, world: World, k: int, part: NDArray[np.float64], place: Vectors, face: NDArray[np.int32]) -> GroundHits:
+    def _make_hits(self, world: World, k: int, part: NDArray[np.float64], place: Vectors, face: NDArray[np.int32]) -> GroundHits:
         hits = GroundHits(part, place, np.full(len(part), k, np.int16), np.zeros(len(part), np.int32), np.zeros((2, len(part))))
         if k in self.moving and len(part):
             hits.face = face.astype(np.int32)
@@ -201,7 +201,7 @@ class Floor:
 
 
 @dataclass(slots=True, eq=False)
-class Seeking:
+class FootholdRequests:
     """Feet that need ground: `requests` int64[k], the number of the agent times L plus that of the leg; `columns`: hip, wanted
     place and up of the body, (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground;
     `displacement` (3, k): from the hip past the wanted place; `starts` as `Floor.starts`. `is_quick`: the foot lifts, and looks
@@ -214,12 +214,12 @@ class Seeking:
     is_quick: NDArray[np.bool_]
 
     @staticmethod
-    def of(requests: Rows, aim_inputs: tuple[Any, ...], threads: int) -> Seeking:
+    def of(requests: Rows, aim_inputs: tuple[Any, ...], threads: int) -> FootholdRequests:
         """Return the feet of some requests. `aim_inputs`: the next arguments of `footholds.aim`."""
         count = len(requests)
         buffer = np.empty((14, count))
         columns = buffer[:3], buffer[3:6], buffer[6:9], buffer[12], buffer[13]
-        seeking = Seeking(requests, columns, buffer[9:12], np.empty(count, np.int64), np.empty(count, np.bool_))
+        seeking = FootholdRequests(requests, columns, buffer[9:12], np.empty(count, np.int64), np.empty(count, np.bool_))
         work = partial(footholds.aim, requests, *aim_inputs, columns, (seeking.displacement, seeking.starts), seeking.is_quick)
         parallel.in_parts(work, count, threads, _RAYS)
         return seeking
@@ -230,19 +230,21 @@ class Seeking:
         parallel.in_parts(work, len(self.requests), threads, _RAYS)
 
 
-def seek(world: World, floor: Floor, seeking: Seeking) -> GroundHits:
+def seek(world: World, floor: FootGround, seeking: FootholdRequests) -> GroundHits:
     """Return ground for feet. Quick ones only get what is on the straight line, at any distance from the target."""
     threads, count = world.options.threads, len(seeking.requests)
     hits = floor.cast(world, seeking.columns[0], seeking.displacement, seeking.starts)
     fits, rows = np.empty(count, np.bool_), np.empty(count, np.int64)
     work = partial(footholds.judge, seeking.columns, hits.columns, seeking.is_quick, fits, rows)
-    (rows,) = parallel.joined(parallel.in_parts(work, count, threads, _RAYS), rows)
+    (rows,) = parallel.join_parts(parallel.in_parts(work, count, threads, _RAYS), rows)
     if rows.size:
         _look_around(world, floor, seeking, hits, fits, rows)
     return hits
 
 
-def _look_around(world: World, floor: Floor, seeking: Seeking, hits: GroundHits, fits: NDArray[np.bool_], rows: Rows) -> None:
+def _look_around(
+    world: World, floor: FootGround, seeking: FootholdRequests, hits: GroundHits, fits: NDArray[np.bool_], rows: Rows
+) -> None:
     """Find ground for feet that have no straight line to the requested position: from above it, then the nearest point."""
     threads, count = world.options.threads, len(rows)
     buffer = np.empty((13, count))
@@ -254,7 +256,7 @@ def _look_around(world: World, floor: Floor, seeking: Seeking, hits: GroundHits,
     lost = np.empty(count, np.int64)
     choose_inputs = seeking.columns, rows, hits.columns, fits, level.columns, below.columns, lost, reach
     parts = parallel.in_parts(partial(footholds.choose, *choose_inputs), count, threads, _RAYS)
-    lost, reach = parallel.joined(parts, lost, reach)
+    lost, reach = parallel.join_parts(parts, lost, reach)
     if lost.size:
         rows, hips = rows[lost], np.ascontiguousarray(hips[:, lost])
         close = floor.nearest(world, np.ascontiguousarray(seeking.columns[1][:, rows]), reach)
@@ -262,24 +264,24 @@ def _look_around(world: World, floor: Floor, seeking: Seeking, hits: GroundHits,
         footholds.accept(seeking.columns, rows, close.columns, sight_hits.columns, hits.columns, 0, len(rows))
 
 
-def _meeting(box: tuple[Vectors, Vectors], origin: Vectors, displacement: Vectors) -> Rows:
+def _rays_meeting_box(box: tuple[Vectors, Vectors], origin: Vectors, displacement: Vectors) -> Rows:
     """The rays that may meet a box."""
     low, high = np.minimum(origin, origin + displacement), np.maximum(origin, origin + displacement)
     return np.flatnonzero(((low <= box[1][:, None]) & (high >= box[0][:, None])).all(axis=0))
 
 
-def _close(obstacle: RayScene, rows: Rows, origin: Vectors, displacement: Vectors) -> Rows:
+def _rays_near_mesh(obstacle: RayScene, rows: Rows, origin: Vectors, displacement: Vectors) -> Rows:
     """Return the rays that may hit a mesh, by a test with the bounding sphere of each ray."""
     half = displacement * 0.5
-    return _within(obstacle, rows, origin + half, _length(half))
+    return _points_near_mesh(obstacle, rows, origin + half, _length(half))
 
 
-def _within(obstacle: RayScene, rows: Rows, points: Vectors, reach: NDArray[np.float64]) -> Rows:
+def _points_near_mesh(obstacle: RayScene, rows: Rows, points: Vectors, reach: NDArray[np.float64]) -> Rows:
     """Return the points that may be within `reach` of a mesh."""
     return rows[obstacle.clearance(*points[:, rows]) <= reach[rows] * (1 + 1e-4) + 1e-4]
 
 
-def _on_plane(world: World, origin: Vectors, displacement: Vectors, hits: GroundHits) -> None:
+def _cast_on_plane(world: World, origin: Vectors, displacement: Vectors, hits: GroundHits) -> None:
     up = world.up
     height = (origin[0] * up[0] + origin[1] * up[1]) + origin[2] * up[2]
     fall = -((displacement[0] * up[0] + displacement[1] * up[1]) + displacement[2] * up[2])
@@ -291,13 +293,13 @@ def _on_plane(world: World, origin: Vectors, displacement: Vectors, hits: Ground
     hits.put(hit_rows, plane_hits)
 
 
-def _on_solid(
+def _cast_on_solid(
     k: int, obstacle: SolidFeelers, near: Rows, origin: Vectors, displacement: Vectors, ground_hits: GroundHits
 ) -> None:
     a, w = origin[:, near], displacement[:, near]
     length = _length(w)
     unit = w / np.maximum(length, 1e-300)
-    hits = obstacle.feelers(*a, *unit, length)  # type: ignore[call-arg]
+    hits = obstacle.cast_feelers(*a, *unit, length)  # type: ignore[call-arg]
     part = hits.t.astype(np.float64) / np.maximum(length, 1e-300)
     hit_rows = np.flatnonzero(hits.hit & (part < ground_hits.part[near]))
     place = a[:, hit_rows] + w[:, hit_rows] * part[hit_rows]
@@ -319,7 +321,7 @@ def _unit_rows(v: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(v / np.maximum(size, 1e-12)[:, None])
 
 
-def _box(vertices: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
+def _bounds(vertices: NDArray[np.float64]) -> tuple[Vectors, Vectors]:
     return vertices.min(axis=0), vertices.max(axis=0)
 
 

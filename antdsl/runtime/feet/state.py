@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from antdsl.numerics.row_hash import RowHash, named
+from antdsl.numerics.row_hash import RowHash, describe_columns
 
 Array = NDArray[Any]
 
@@ -24,12 +24,12 @@ def by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
     return np.zeros((*shape[:-2], shape[-1], shape[-2]), dtype).swapaxes(-1, -2)
 
 
-def _like(name: str, array: Array, shape: Sequence[int]) -> Array:
+def _empty_column(name: str, array: Array, shape: Sequence[int]) -> Array:
     return by_leg(shape, array.dtype) if name in _BY_LEG else np.zeros(shape, array.dtype)
 
 
-def _copied(name: str, array: Array) -> Array:
-    copied_array = _like(name, array, array.shape)
+def _copy_column(name: str, array: Array) -> Array:
+    copied_array = _empty_column(name, array, array.shape)
     copied_array[...] = array
     return copied_array
 
@@ -87,7 +87,7 @@ class Feet:
         return int(self.swing.shape[1])
 
     @property
-    def down(self) -> NDArray[np.bool_]:
+    def is_standing(self) -> NDArray[np.bool_]:
         """Which feet stand, bool[n, L]."""
         return np.asarray(self.swing == STANDS)
 
@@ -95,7 +95,7 @@ class Feet:
         """Return the stored arrays themselves, by name."""
         return {name: getattr(self, name) for name in STORED_COLUMNS}
 
-    def take(self, previous_feet: Feet) -> None:
+    def copy_common(self, previous_feet: Feet) -> None:
         """Copy the feet of all agents that had feet before."""
         at = np.minimum(np.searchsorted(previous_feet.ids, self.ids), max(len(previous_feet.ids) - 1, 0))
         known = previous_feet.ids[at] == self.ids if len(previous_feet.ids) else np.zeros(len(self.ids), np.bool_)
@@ -103,7 +103,7 @@ class Feet:
             rows: tuple[Any, ...] = (slice(None),) * _AXIS.get(name, 0)
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
 
-    def matched(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
+    def match_ids(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
         """Return the feet of agents by ascending ids, zero for agents without earlier feet, and the rows of those agents."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
@@ -114,7 +114,7 @@ class Feet:
             axis = _AXIS.get(name, 0)
             shape = list(array.shape)
             shape[axis] = len(ids)
-            columns[name] = _like(name, array, shape)
+            columns[name] = _empty_column(name, array, shape)
             rows: tuple[Any, ...] = (slice(None),) * axis
             columns[name][(*rows, known)] = array[(*rows, at[known])]
         matched_feet = Feet(**(columns | {"ids": ids.copy()}))
@@ -141,12 +141,12 @@ def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
         digest.update(f"\0{name}\0{len(feet[name])}".encode())
         arrays = feet[name].arrays()
         ids = arrays.pop("ids")
-        columns = feet[name].rows.parts(list(arrays.values()), [key in _AXIS for key in arrays])
-        digest.update(named(tuple(arrays), arrays.values()) + feet[name].rows.of(ids, columns, threads))
+        columns = feet[name].rows.split_columns(list(arrays.values()), [key in _AXIS for key in arrays])
+        digest.update(describe_columns(tuple(arrays), arrays.values()) + feet[name].rows.of(ids, columns, threads))
     return digest.hexdigest()[:32]
 
 
-def from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
+def feet_from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
     """Return the feet from arrays that `Feet.arrays` wrote. Raises ValueError if they do not describe the feet of agents with
     these ids."""
     like = Feet.none(legs).arrays()
@@ -158,7 +158,7 @@ def from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) 
         expected_shape[axis] = len(ids)
         if array is None or array.dtype != empty.dtype or list(array.shape) != expected_shape:
             raise ValueError(f"`{name}` is missing or of another shape")
-        columns[name] = _copied(name, array)
+        columns[name] = _copy_column(name, array)
     if not np.array_equal(columns["ids"], ids):
         raise ValueError("`ids` are others")
     return Feet(**columns)

@@ -138,7 +138,7 @@ def plan_steps(
             for leg in range(count):
                 local_foot = to_body(body, (place[0, leg, i], place[1, leg, i], place[2, leg, i]))
                 at[0, leg, i], at[1, leg, i], at[2, leg, i] = local_foot
-                away = _off(legs, leg, local_foot, _hip(legs, leg, lean, raised))
+                away = _rest_distance(legs, leg, local_foot, _hip(legs, leg, lean, raised))
                 off[leg, i] = away
                 down = swing[leg, i] == STANDS
                 if swing[leg, i] >= _ZERO or (down and away > legs[OFF, leg] + rest_offset[leg, i]):
@@ -151,7 +151,7 @@ def plan_steps(
             # An agent that starts from standing lifts the foot with the next turn at once: no foot waits until it is left behind.
             gap = _F(np.inf)
             for leg in range(count):
-                leg_phase = _fraction(phase[i] + gaits[2][gait, leg])
+                leg_phase = _cycle_share(phase[i] + gaits[2][gait, leg])
                 wait = duty - leg_phase
                 wait = wait if wait > _ZERO else wait + _ONE
                 gap = min(gap, wait)
@@ -163,7 +163,7 @@ def plan_steps(
                 hip = _hip(legs, leg, lean, raised)
                 x, z = local_foot[0] - legs[REST_X, leg], local_foot[2] - legs[REST_Z, leg]
                 cover_x, cover_z = covered[0, leg, i], covered[1, leg, i]
-                leg_phase = _fraction(phase[i] + gaits[2][gait, leg])
+                leg_phase = _cycle_share(phase[i] + gaits[2][gait, leg])
                 next_phase = leg_phase + advance
                 crosses = (leg_phase < duty and next_phase >= duty) or next_phase >= _ONE + duty
                 # A foot missed its turn, as the gait changed or something else moved it: behind where it rests, in time to swing.
@@ -204,7 +204,7 @@ def plan_steps(
                 again = miss_x * miss_x + miss_z * miss_z > most * most or on[leg, i] == NOTHING
                 again = lands and (again or _is_too_far(legs, leg, local_foot, hip, _REACHED))
                 what[leg, i] = (SEEKS_AGAIN if again else LANDS) if lands else (LIFTS if lifts else STAYS)
-            phase[i] = _fraction(phase[i] + advance)
+            phase[i] = _cycle_share(phase[i] + advance)
     many = 0
     for i in range(begin, end):
         for leg in range(count):
@@ -258,12 +258,12 @@ def take_steps(
                 if not slow[i]:
                     rest_offset[leg, i] = _ZERO
                 elif lands:
-                    rest_offset[leg, i] = _off(legs, leg, local_foot, _hip(legs, leg, lean, raised))
+                    rest_offset[leg, i] = _rest_distance(legs, leg, local_foot, _hip(legs, leg, lean, raised))
             height, ahead, aside = trunk.fit_plane(at, on, count, i)
             height = min(max(height, -highest), highest)
             tilt = lean[0] + (ahead - lean[0]) * slower, lean[1] + (aside - lean[1]) * slower
             raised = raised + (height - raised) * (faster if height > raised else slower)
-            high = trunk.lower(at, swing, legs, raised, tilt, -highest, i) * size
+            high = trunk.lower_trunk(at, swing, legs, raised, tilt, -highest, i) * size
             torn = False
             for leg in range(count):
                 local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
@@ -277,7 +277,7 @@ def take_steps(
                     swing_start = to_body(body, (start[0, leg, i], start[1, leg, i], start[2, leg, i]))
                     local_foot = at[0, leg, i], at[1, leg, i], at[2, leg, i]
                     hip = _hip(legs, leg, lean, raised)
-                    x, y, z = _swung(legs, leg, (swing_start, local_foot, hip), swing[leg, i], stride[i], lift[i])
+                    x, y, z = _swing_position(legs, leg, (swing_start, local_foot, hip), swing[leg, i], stride[i], lift[i])
                     foot = to_world(body, x, y, z)
                     current_place[0, leg, i], current_place[1, leg, i], current_place[2, leg, i] = foot
                 else:
@@ -289,7 +289,7 @@ def take_steps(
 
 
 @inlined
-def _fraction(turns: Any) -> Any:
+def _cycle_share(turns: Any) -> Any:
     """Return the phase in the current cycle after a number of cycles."""
     return turns - np.floor(turns)
 
@@ -297,12 +297,12 @@ def _fraction(turns: Any) -> Any:
 @inlined
 def _hip(legs: Any, leg: Any, slope: Any, raised: Any) -> Any:
     """Return where a leg begins, for a trunk that leans and is raised."""
-    x, y, z = trunk.lean(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
+    x, y, z = trunk.lean_point(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
     return x, y + raised, z
 
 
 @inlined
-def _off(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
+def _rest_distance(legs: Any, leg: Any, local_foot: Any, hip: Any) -> Any:
     """Return how far a foot is from its resting place: the lesser of its distance along the ground and its distance from the
     straight line from the hip through that place."""
     rest_x, rest_z = legs[REST_X, leg], legs[REST_Z, leg]
@@ -324,7 +324,7 @@ def _is_too_far(legs: Any, leg: Any, local_foot: Any, hip: Any, most: Any) -> An
 
 
 @inlined
-def _swung(legs: Any, leg: Any, ends: Any, progress: Any, stride: Any, lift: Any) -> Any:
+def _swing_position(legs: Any, leg: Any, ends: Any, progress: Any, stride: Any, lift: Any) -> Any:
     """Return the position of a foot on its arc, no farther from its hip than its leg reaches."""
     swing_start, local_foot, hip = ends
     eased = progress * progress * (_THREE - _TWO * progress)

@@ -57,11 +57,11 @@ def fit_plane(points: Any, held: Any, legs: Any, i: Any) -> Any:
 
 
 @inlined
-def lower(points: Any, standing: Any, legs: Any, rise: Any, slope: Any, least: Any, i: Any) -> Any:
+def lower_trunk(points: Any, standing: Any, legs: Any, rise: Any, slope: Any, least: Any, i: Any) -> Any:
     """Return the rise of a trunk, lowered as far as the legs of its standing feet require. Its hips lean by `slope`."""
     most = _INFINITE
     for leg in range(legs.shape[1]):
-        x, y, z = lean(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
+        x, y, z = lean_point(slope, (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
         dx, dz = points[0, leg, i] - x, points[2, leg, i] - z
         square = legs[SQUARE, leg] - dx * dx - dz * dz
         if standing[leg, i] == STANDS and square > _ZERO:
@@ -70,7 +70,7 @@ def lower(points: Any, standing: Any, legs: Any, rise: Any, slope: Any, least: A
 
 
 @inlined
-def lean(slope: Any, point: Any) -> Any:
+def lean_point(slope: Any, point: Any) -> Any:
     """Return a point of a trunk after the shortest rotation of its up to the normal of a plane. `slope`: the plane's slopes ahead
     and aside."""
     x, y, z = point
@@ -87,7 +87,7 @@ def lean(slope: Any, point: Any) -> Any:
     )
 
 
-def quaternions(slope: Floats) -> Floats:
+def slope_quaternions(slope: Floats) -> Floats:
     """Return the rotations of trunks with slopes [2, n] as unit quaternions float32[n, 4], x y z w."""
     a, b = -slope[0].astype(np.float64), -slope[1].astype(np.float64)
     size = 1 / np.sqrt((a * a + 1) + b * b)

@@ -12,7 +12,7 @@ from antdsl.numerics import parallel
 from antdsl.runtime.feet import stepping, trunk
 from antdsl.runtime.feet.bodies import PLACE, place_bodies
 from antdsl.runtime.feet.gaits import REST_X, REST_Z, Gaits
-from antdsl.runtime.feet.seeking import Floor, Seeking, seek
+from antdsl.runtime.feet.seeking import FootGround, FootholdRequests, seek
 from antdsl.runtime.feet.state import NOTHING, STANDS, Feet, by_leg
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import LegsData
@@ -23,23 +23,23 @@ _GOLDEN = 0.6180339887498949  # of a cycle between the phases at birth of agents
 _AGENTS = 256  # for which a thread pays
 
 
-class Walkers:
+class LegsOfSpecies:
     """The legs of one species with its gaits, as its feet use them."""
 
     def __init__(self, legs: LegsData) -> None:
         self.legs, self.gaits = legs, Gaits(legs)
 
 
-def begin(world: World) -> None:
+def begin_feet(world: World) -> None:
     """Let all agents with legs stand on their feet, if feet are simulated."""
     world.feet, world.walkers, world.floor = {}, {}, None
     if not world.options.feet:
         return
     for name, legs in world.setting.legs.items():
         if name in world.populations:
-            world.feet[name], world.walkers[name] = Feet.none(len(legs.foot)), Walkers(legs)
+            world.feet[name], world.walkers[name] = Feet.none(len(legs.foot)), LegsOfSpecies(legs)
     if world.feet:
-        world.floor = Floor(world)
+        world.floor = FootGround(world)
         walk(world)
 
 
@@ -47,7 +47,7 @@ def measure(world: World) -> None:
     """Record the ground that the resting place of each foot covered in this step, before the ground itself moves on."""
     for name, feet in world.feet.items():
         population, walkers = world.populations[name], world.walkers[name]
-        feet, new = feet.matched(population.sorted_ids()[0])
+        feet, new = feet.match_ids(population.sorted_ids()[0])
         world.feet[name] = feet
         n = len(feet)
         bodies = place_bodies(population, "bodies before the ground moves", world.options.threads)
@@ -56,7 +56,7 @@ def measure(world: World) -> None:
             is_new = np.zeros(n, np.bool_)
             is_new[new] = True
             last_pose = feet.position, feet.heading, feet.up
-            work = partial(stepping.measure_cover, bodies, last_pose, walkers.gaits.legs, is_new, _legs_first(feet.covered))
+            work = partial(stepping.measure_cover, bodies, last_pose, walkers.gaits.legs, is_new, _transpose_legs(feet.covered))
             parallel.in_parts(work, n, world.options.threads, _AGENTS)
 
 
@@ -66,7 +66,7 @@ def walk(world: World) -> None:
         _Step(world, world.populations[name], world.walkers[name]).run()
 
 
-def _legs_first(array: NDArray[Any]) -> NDArray[Any]:
+def _transpose_legs(array: NDArray[Any]) -> NDArray[Any]:
     """An array [..., n, L] as kernels read it."""
     return array.swapaxes(-1, -2)
 
@@ -74,20 +74,20 @@ def _legs_first(array: NDArray[Any]) -> NDArray[Any]:
 class _Step:
     """One step of the n agents of a species with L legs."""
 
-    def __init__(self, world: World, population: Population, walkers: Walkers) -> None:
+    def __init__(self, world: World, population: Population, walkers: LegsOfSpecies) -> None:
         assert world.floor is not None
         self.world, self.floor, self.walkers, self.gaits = world, world.floor, walkers, walkers.gaits
         self.population = population
-        self.feet, self.new = world.feet[population.name].matched(population.sorted_ids()[0])
+        self.feet, self.new = world.feet[population.name].match_ids(population.sorted_ids()[0])
         world.feet[population.name] = self.feet
         self.threads, self.dt = world.options.threads, _F(world.dt)
         self.bodies = place_bodies(population, "bodies", self.threads)
         feet, (n, legs) = self.feet, self.feet.swing.shape
         if feet.covered is None:
             feet.covered = by_leg((2, n, legs), np.float32)
-        place_columns = tuple(_legs_first(each) for each in (feet.place, feet.start, feet.shown))
-        states = tuple(_legs_first(each) for each in (feet.swing, feet.on, feet.found))
-        self.covered = _legs_first(feet.covered)
+        place_columns = tuple(_transpose_legs(each) for each in (feet.place, feet.start, feet.shown))
+        states = tuple(_transpose_legs(each) for each in (feet.swing, feet.on, feet.found))
+        self.covered = _transpose_legs(feet.covered)
         self.columns = place_columns, states, (feet.phase, feet.rise, feet.slope)
         singles = population.get_buffers("feet", 5, (legs, n), np.float32)
         (points,) = population.get_buffers("feet from bodies", 1, (3, legs, n), np.float32)
@@ -103,9 +103,9 @@ class _Step:
         feet, n = self.feet, len(self.feet)
         if n:
             self._follow_ground()
-            self._stand()
+            self._place_newborn()
             self._find_undermined()
-            self._plan()
+            self._plan_swings()
             last = feet.position, feet.heading, feet.up
             step_inputs = self.bodies, self.gaits.legs, self._trunk_steps(), self.columns, self.pace, self.targets, last
             parallel.in_parts(partial(stepping.take_steps, *step_inputs), n, self.threads, _AGENTS)
@@ -115,12 +115,12 @@ class _Step:
         """Move feet with the ground that they are on, and the start points of swings with the bodies."""
         feet = self.feet
         if self.floor.moving:
-            self.floor.carried(self.world, feet.on, feet.face, feet.weight, feet.place)
+            self.floor.move_places(self.world, feet.on, feet.face, feet.weight, feet.place)
             if feet.stood is not None:
                 displacement = self.bodies[PLACE : PLACE + 3] - feet.stood
                 feet.start += np.where(np.isfinite(displacement), displacement, 0.0)[:, :, None]
 
-    def _stand(self) -> None:
+    def _place_newborn(self) -> None:
         """Let newborn agents stand with their feet at rest, each at a different phase."""
         rows, feet, legs = self.new, self.feet, self.gaits.legs
         if not rows.size:
@@ -130,7 +130,7 @@ class _Step:
         for target, rest in zip(self.targets, (legs[REST_X], legs[REST_Z], np.zeros_like(legs[REST_X])), strict=False):
             target[:, rows] = rest[:, None]
         self.targets[-1][:, rows] = stepping.SEEKS_AGAIN
-        self._seek((rows[:, None] * feet.legs + np.arange(feet.legs)).ravel())
+        self._seek_ground((rows[:, None] * feet.legs + np.arange(feet.legs)).ravel())
         feet.swing[rows] = np.where(feet.on[rows] == NOTHING, _F(1), STANDS)
         feet.start[:, rows] = feet.place[:, rows]
 
@@ -144,9 +144,9 @@ class _Step:
             if volume is not None and rows is not None and rows.any():
                 length = self.walkers.legs.length.astype(np.float32) * self.bodies[-1][:, None]
                 gap = np.maximum(_DUG_SHARE * length[rows], 0.02 * volume.voxel)
-                _legs_first(self.undermined)[rows] = volume.sample(feet.place[:, rows].T) > gap
+                _transpose_legs(self.undermined)[rows] = volume.sample(feet.place[:, rows].T) > gap
 
-    def _plan(self) -> None:
+    def _plan_swings(self) -> None:
         gaits, dt = self.gaits, self.dt
         times = dt, dt / _F(gaits.cycle), dt / _F(gaits.swing), gaits.least_reach
         plan_inputs = (
@@ -154,17 +154,17 @@ class _Step:
             self.pace, self.targets, self.requests,
         )  # fmt: skip
         parts = parallel.in_parts(partial(stepping.plan_steps, *plan_inputs), len(self.feet), self.threads, _AGENTS)
-        self._seek(parallel.joined(parts, self.requests)[0])
+        self._seek_ground(parallel.join_parts(parts, self.requests)[0])
 
-    def _seek(self, requests: NDArray[np.int64]) -> None:
+    def _seek_ground(self, requests: NDArray[np.int64]) -> None:
         """Find ground for feet. A request is the number of the agent times L plus that of the leg."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
             goals, measures = (*targets[:3], targets[-1]), (gaits.legs, gaits.exact)
             aim_inputs = self.bodies, self.covered, measures, self.columns[2], goals, self.floor.starts(self.population)
-            seeking = Seeking.of(requests, aim_inputs, self.threads)
+            seeking = FootholdRequests.of(requests, aim_inputs, self.threads)
             hits = seek(self.world, self.floor, seeking)
-            columns = tuple(_legs_first(each) for each in (feet.place, feet.on, feet.face, feet.weight))
+            columns = tuple(_transpose_legs(each) for each in (feet.place, feet.on, feet.face, feet.weight))
             seeking.settle(hits, columns, self.threads)
 
     def _trunk_steps(self) -> tuple[np.float32, np.float32, np.float32]:

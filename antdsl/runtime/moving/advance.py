@@ -21,20 +21,20 @@ from numpy.typing import NDArray
 
 from antdsl.ground.mesh import walk as loop
 from antdsl.ground.mesh.surface import MeshGround
-from antdsl.ground.mesh.walk_events import CrowdWalk, Waiting
+from antdsl.ground.mesh.walk_events import CrowdWalk, WaitingAgents
 from antdsl.ground.mesh.walkers import Moved, Placed
 from antdsl.ground.plane import Plane
 from antdsl.ground.protocol import Footing, Ground, Move
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Columns, Vector
-from antdsl.runtime.moving.falling import in_the_air
+from antdsl.runtime.moving.falling import limit_fall
 from antdsl.runtime.moving.heads import RAISED
-from antdsl.runtime.moving.obstacles import slide, slowed
-from antdsl.runtime.moving.orienting import orient
+from antdsl.runtime.moving.obstacles import slide, slow_velocities
+from antdsl.runtime.moving.orienting import orient_bodies
 from antdsl.runtime.moving.rises import find_walls
-from antdsl.runtime.moving.strides import Held, Outset, glide, set_out, stride
-from antdsl.runtime.moving.tilting import Posture, TurnLimits, follow, pace
+from antdsl.runtime.moving.strides import Held, Outset, prepare_steps, walk_plane, walk_triangles
+from antdsl.runtime.moving.tilting import Posture, TurnLimits, follow_ground, limit_pace
 from antdsl.runtime.moving.velocities import (
     AT_ONCE,
     FACE,
@@ -42,17 +42,17 @@ from antdsl.runtime.moving.velocities import (
     Abilities,
     Arrival,
     Bodies,
-    Drive,
+    Drives,
     Facing,
     Limits,
     PushTimes,
     Registers,
     Times,
     Walked,
-    arrive,
+    arrive_rows,
     share,
 )
-from antdsl.runtime.moving.walks import is_led, lead_walkers, walks_of
+from antdsl.runtime.moving.walks import find_walkers, lead_walkers, walks_by_line
 from antdsl.runtime.world import Population, World
 
 LEAST = "min_speed"  # a register of those species alone that ask for it
@@ -61,7 +61,7 @@ _ON_FACES = itemgetter("mesh", "face", "b1", "b2", "over")  # columns of footing
 _ARRIVING = 64  # agents with separate arrival from which a thread pays off
 
 
-def move(world: World, population: Population, substep: int) -> None:
+def move_agents(world: World, population: Population, substep: int) -> None:
     """Move all agents of a species by one substep; changes position, velocity, heading, up and footing."""
     if not len(population):
         return
@@ -69,20 +69,22 @@ def move(world: World, population: Population, substep: int) -> None:
     others = world.setting.orient != "normal"
     crowd = _Crowd.of(world, population, dt, others)
     previous_pose = (vec.copy(crowd.registers[1]), vec.copy(crowd.registers[3]), population.normal) if others else None
-    crowd.set_out(substep)
-    crowd.pass_obstacles()
+    crowd.prepare_steps(substep)
+    crowd.bend_at_obstacles()
     _, _, heading, up = crowd.registers
     *walls, half = find_walls(world, population, crowd.looking, crowd.step, crowd.reach, crowd.state)
     n, threads = len(population), crowd.threads
-    work = partial(pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, tuple(walls))
+    work = partial(limit_pace, crowd.state, crowd.step, crowd.velocity, up, population.normal, crowd.most, tuple(walls))
     parallel.in_parts(work, n, threads)
     came_from = population.position
     crowd.walk(world.ground)
     if previous_pose is not None:
-        orient(world, population, *previous_pose)
+        orient_bodies(world, population, *previous_pose)
     previous, limits = Posture(*crowd.previous_axes, came_from), TurnLimits(crowd.most, population.now["max_turn"], dt)
     (rows,) = population.get_buffers("following", 1, (n,), np.int64)
-    work = partial(follow, crowd.state, previous, population.position, limits, tuple(walls), half, RAISED, up, heading, rows)
+    work = partial(
+        follow_ground, crowd.state, previous, population.position, limits, tuple(walls), half, RAISED, up, heading, rows
+    )
     parallel.in_parts(work, n, threads)
 
 
@@ -118,7 +120,7 @@ class _Crowd:
             population.get_buffers("reach", 1, (n,), np.float64),
             population.get_buffers("state", 1, (n,), np.int32),
         )
-        registers = tuple(vec.named(now, name) for name in ("position", "velocity", "heading", "up"))
+        registers = tuple(vec.vector_registers(now, name) for name in ("position", "velocity", "heading", "up"))
         velocity, step, looking, up, heading = (buffer[k : k + 3] for k in range(0, 15, 3))
         columns = (registers, velocity, step, looking, (up, heading), *buffer[15:], reach, state)
         return _Crowd(world, population, dt, _F(world.dt), everyone, *columns)  # type: ignore[arg-type]
@@ -127,21 +129,21 @@ class _Crowd:
     def threads(self) -> int:
         return self.world.options.threads
 
-    def set_out(self, substep: int) -> None:
+    def prepare_steps(self, substep: int) -> None:
         """Compute the intended motion of all agents, without obstacles."""
         p, now, frame_time = self.population, self.population.now, self.frame_time
-        drive = Drive(vec.named(now, "push"), *self.registers[1:], p.normal)
+        drive = Drives(vec.vector_registers(now, "push"), *self.registers[1:], p.normal)
         abilities = Abilities(now["max_speed"], now["max_force"], now["mass"], now["response"], now["max_turn"])
         keeps = LEAST in now
         least = now[LEAST] if keeps else now["max_speed"]
         times = PushTimes(frame_time * AT_ONCE, frame_time if substep == 0 else _F(0), self.dt)
         outset = Outset(self.velocity, self.step, self.looking, self.long, self.most, self.reach, self.state)
-        work = partial(set_out, drive, abilities, keeps, least, now["size"], p.quarantined, times, outset)
+        work = partial(prepare_steps, drive, abilities, keeps, least, now["size"], p.quarantined, times, outset)
         results = parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
         self.longest, self.widest = results[0] if len(results) == 1 else map(max, zip(*results, strict=True))
         if self.widest == -inf:
             self.widest = nan
-        if walks_of(self.world, p):
+        if walks_by_line(self.world, p):
             velocity = lead_walkers(self.world, p, self.velocity, vec.columns(p.normal, np.float32))
             zero = np.zeros(len(p), np.float32)
             self.velocity = vec.choose(p.quarantined, (zero, zero, zero), velocity)
@@ -149,15 +151,15 @@ class _Crowd:
             self.long = vec.length(self.step)
             self.longest = float(self.long.max(initial=0.0, where=np.isfinite(self.long)))
 
-    def pass_obstacles(self) -> None:
+    def bend_at_obstacles(self) -> None:
         """Bend steps along obstacles in the way, and update the velocities of the agents with bent steps."""
         world, p = self.world, self.population
         if not world.plan.of_kind("obstacle"):
             return
         intended_step, up = self.step, p.normal.T
-        step = no_slower(world, p, slide(world, p, intended_step, up, p.now["radius"]), up, self.dt)
+        step = keep_least_speed(world, p, slide(world, p, intended_step, up, p.now["radius"]), up, self.dt)
         if step is not intended_step:
-            work = partial(slowed, intended_step, step, self.velocity, _F(1) / self.dt)
+            work = partial(slow_velocities, intended_step, step, self.velocity, _F(1) / self.dt)
             parallel.in_parts(work, len(p), self.threads, parallel.LIGHT)
             self.step = step
 
@@ -166,23 +168,23 @@ class _Crowd:
         now = self.population.now
         limits = Limits(now["max_speed"], now["max_turn"], now["response"])
         times = Times(self.frame_time * AT_ONCE, self.dt, share(self.dt))
-        facing = Facing(FACE in now, vec.named(now, "~face") if FACE in now else self.registers[1], self.everyone)
+        facing = Facing(FACE in now, vec.vector_registers(now, "~face") if FACE in now else self.registers[1], self.everyone)
         bodies, registers = Bodies(self.most, self.state, *self.previous_axes), Registers._make(self.registers)
         normals, old = np.empty((len(self.population), 3), np.float32), self.population.position
         arrival = Arrival(old, self.step, self.velocity, limits, bodies, times, facing, registers, normals)
         if isinstance(ground, Plane):
-            self._over_plane(ground, arrival)
-        elif not isinstance(ground, MeshGround) or not self._over_meshes(ground, arrival):
-            self._over_any(ground, arrival)
+            self._walk_plane(ground, arrival)
+        elif not isinstance(ground, MeshGround) or not self._walk_meshes(ground, arrival):
+            self._walk_ground(ground, arrival)
 
-    def _over_plane(self, plane: Plane, arrival: Arrival) -> None:
+    def _walk_plane(self, plane: Plane, arrival: Arrival) -> None:
         p, n = self.population, len(self.population)
         place = np.empty((n, 3))
-        work = partial(glide, plane.up, self.looking, arrival._replace(old=p.footing.point), place)
+        work = partial(walk_plane, plane.up, self.looking, arrival._replace(old=p.footing.point), place)
         parallel.in_parts(work, n, self.threads)
         p.footing, p.position, p.normal = Footing.on_plane(place), place, arrival.normals
 
-    def _over_meshes(self, ground: MeshGround, arrival: Arrival) -> bool:
+    def _walk_meshes(self, ground: MeshGround, arrival: Arrival) -> bool:
         """Walk over the triangles of the ground. Returns False if it is not made of triangles."""
         p, n = self.population, len(self.population)
         walk = ground.crowd_walk(self.longest, self.widest)
@@ -198,19 +200,19 @@ class _Crowd:
             p.get_buffers("wholes", 1, (loop.WHOLES, n), np.int64),
         )
         stride_inputs, held = (at, p.now["size"], p.normal, self.looking), Held(reals, wholes, how)
-        work = partial(stride, *tables, *stride_inputs, arrival, held, placed, place)
+        work = partial(walk_triangles, *tables, *stride_inputs, arrival, held, placed, place)
         parts = parallel.in_parts(work, n, self.threads)
         if any([waiting or left for _, waiting, left in parts]):
-            self._later(ground, arrival, walk, Waiting.of(parts, reals, wholes), to, place, how)
+            self._walk_waiting(ground, arrival, walk, WaitingAgents.of(parts, reals, wholes), to, place, how)
         p.footing, p.position, p.normal = to, place.T, arrival.normals
         return True
 
-    def _later(
+    def _walk_waiting(
         self,
         ground: MeshGround,
         arrival: Arrival,
         walk: CrowdWalk,
-        waiting: Waiting,
+        waiting: WaitingAgents,
         to: Footing,
         place: NDArray[np.float64],
         how: NDArray[np.uint8],
@@ -221,25 +223,25 @@ class _Crowd:
         above, ahead, direction = p.get_buffers("walked", 3, (3, n), np.float64)
         (distance,), (blocked,) = p.get_buffers("gone", 1, (n,), np.float64), p.get_buffers("blocked", 1, (n,), np.bool_)
         placed, moved = Placed._make(_ON_FACES(to.columns)), Moved(place, above, ahead, direction, distance)
-        rows = walk.on(waiting, how, placed, moved, blocked, self.threads)
+        rows = walk.continue_waiting(waiting, how, placed, moved, blocked, self.threads)
         if waiting.left:
             others = np.flatnonzero(how != loop.ENDS)
             result = Move(to, place.T, above.T, ahead.T, direction.T, distance, blocked, np.zeros(n, np.bool_))
-            result.put(others, self._moved(ground, others))
+            result.put(others, self._move_rows(ground, others))
             rows = np.union1d(rows, others)
         if len(rows):
             self._arrive(rows, Walked(place, above, ahead, direction, blocked), arrival)
 
-    def _over_any(self, ground: Ground, arrival: Arrival) -> None:
+    def _walk_ground(self, ground: Ground, arrival: Arrival) -> None:
         p, rows = self.population, np.arange(len(self.population))
-        moved = self._moved(ground, slice(None))
+        moved = self._move_rows(ground, slice(None))
         if self.world.solids:
-            moved = in_the_air(self.world, p, moved, self.dt)
+            moved = limit_fall(self.world, p, moved, self.dt)
         walked = Walked(moved.position.T, moved.up.T, moved.heading.T, moved.direction.T, moved.blocked)
         self._arrive(rows, walked, arrival)
         p.footing, p.position, p.normal = moved.footing, moved.position, arrival.normals
 
-    def _moved(self, ground: Ground, rows: NDArray[np.intp] | slice) -> Move:
+    def _move_rows(self, ground: Ground, rows: NDArray[np.intp] | slice) -> Move:
         """Where a ground moves some agents."""
         p = self.population
         stands = self.state[rows] == STANDS
@@ -249,18 +251,18 @@ class _Crowd:
         return ground.move(p.footing.take(rows), *vectors, size, self.threads)
 
     def _arrive(self, rows: NDArray[np.intp], walked: Walked, arrival: Arrival) -> None:
-        work = partial(arrive, rows, walked, arrival)
+        work = partial(arrive_rows, rows, walked, arrival)
         parallel.in_parts(work, len(rows), self.threads, _ARRIVING)
 
 
-def no_slower(world: World, population: Population, step: Vector, up: Columns, dt: np.float32) -> Vector:
+def keep_least_speed(world: World, population: Population, step: Vector, up: Columns, dt: np.float32) -> Vector:
     """Return steps (mm) that obstacles have bent. For agents that must keep moving, they have the least length in the same
     direction, if that is free."""
     now = population.now
     if LEAST not in now or not world.plan.of_kind("obstacle"):
         return step
     size, least_length = vec.length(step), np.minimum(np.maximum(now[LEAST], _F(0)), np.maximum(now["max_speed"], _F(0))) * dt
-    short = (size > _F(1e-9)) & (size < least_length * _F(0.999)) & ~population.quarantined & ~is_led(world, population)
+    short = (size > _F(1e-9)) & (size < least_length * _F(0.999)) & ~population.quarantined & ~find_walkers(world, population)
     if not short.any():
         return step
     longer = vec.scale(step, np.where(short, least_length / np.where(size > 0, size, _F(1)), _F(0)))

@@ -22,7 +22,7 @@ from antdsl.machine_code.kernels import (
     kernel,
 )
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, times
-from antdsl.numerics.sorting import listed
+from antdsl.numerics.sorting import compact_indices
 
 _SEARCH_RADII = 1.6  # radii: how far beyond its axis an agent is looked about, more than one since it will yet be moved
 _PROCESS = 1.5  # widths that two are apart, up to which they may yet meet
@@ -46,7 +46,7 @@ class Bodies(NamedTuple):
     radius: Array1[F64]
 
 
-class Crowded(NamedTuple):
+class CrowdBodies(NamedTuple):
     """Capsules of all agents, with vectors in the layout of registers."""
 
     middle: Array2[F64]
@@ -93,18 +93,18 @@ class Meetings(NamedTuple):
 
 
 @inlined
-def _single(vectors: VectorColumns, i: I64) -> Vec3:
+def _read_vector(vectors: VectorColumns, i: I64) -> Vec3:
     """Return element i of vectors stored as three float32 arrays."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
-def nothing_seen() -> NDArray[np.float64]:
+def empty_extremes() -> NDArray[np.float64]:
     """Return empty bounds for `trunks`: above all, below all, and the number of values that are not finite."""
     return _NOTHING.copy()
 
 
 @kernel
-def trunks(
+def place_trunks(
     place: Array2[F64],
     heading: VectorColumns,
     up: VectorColumns,
@@ -115,7 +115,7 @@ def trunks(
     extremes: Array2[F64],
 ) -> Bounds:
     """Compute the capsules of a species with positions (3, n), stored from `first` on. Returns the bounds of these and earlier
-    species. `extremes` (9, 64): partial bounds, one column for every 64th agent; `nothing_seen` at first."""
+    species. `extremes` (9, 64): partial bounds, one column for every 64th agent; `empty_extremes` at first."""
     length, width, height, ahead = shape
     half, radius, shift, reach, middle = to
     for begin in range(0, size.size, _TOGETHER):
@@ -126,7 +126,7 @@ def trunks(
             half[row] = max(wide * length * 0.5 - radius[row], 0.0)
             reach[row] = half[row] + radius[row] * _SEARCH_RADII
             high, shift[row] = wide * height, wide * ahead
-            above, forward = _single(up, i), _single(heading, i)
+            above, forward = _read_vector(up, i), _read_vector(heading, i)
             for k in range(3):
                 middle[k, row] = (place[k, i] + above[k] * high) + forward[k] * shift[row]
             numbers = (middle[0, row], middle[1, row], middle[2, row], reach[row])
@@ -144,7 +144,9 @@ def trunks(
 
 
 @called
-def _gap(away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, wide: F64) -> tuple[F64, Vec3, BOOL]:
+def _measure_gap(
+    away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, length: F64, wide: F64
+) -> tuple[F64, Vec3, BOOL]:
     """Return gap and separation axis of a pair, and whether both are at one position and thus have no axis.
 
     The nearest points of two segments follow C. Ericson, Real-Time Collision Detection, 2005, 5.1.9. If the capsule axes cross,
@@ -176,7 +178,7 @@ def _gap(away: Vec3, a: Vec3, b: Vec3, one: Vec3, other: Vec3, reach: F64, lengt
 
 
 @called
-def measured_some(
+def measure_listed(
     bodies: Bodies,
     displacement: Any,
     i: Array1[I64],
@@ -193,18 +195,18 @@ def measured_some(
         pair = pair_numbers[n]
         p, q = i[pair], j[pair]
         away = minus(plus(of(middle, p), of(displacement, p)), plus(of(middle, q), of(displacement, q)))
-        gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _gap(
+        gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_gap(
             away, of(ahead, p), of(ahead, q), of(up, p), of(up, q), half[p], half[q], radius[p] + radius[q]
         )
         lost[n] = 1 if nowhere else 0
-    without = listed(lost, count)
+    without = compact_indices(lost, count)
     for n in range(without):
         lost[n] = pair_numbers[lost[n]]
     return without
 
 
 @kernel
-def measured(
+def measure_changed(
     bodies: Bodies,
     displacement: Strided2[F64],
     i: Array1[I64],
@@ -219,7 +221,7 @@ def measured(
     in `lost`. `pair_numbers` is a work buffer."""
     for pair in independent(0, i.size):
         pair_numbers[pair] = 1 if changed[i[pair]] | changed[j[pair]] else 0
-    return measured_some(bodies, displacement, i, j, gap, direction, pair_numbers, listed(pair_numbers, i.size), lost)
+    return measure_listed(bodies, displacement, i, j, gap, direction, pair_numbers, compact_indices(pair_numbers, i.size), lost)
 
 
 @kernel
@@ -248,7 +250,7 @@ def measure_before(
         for pair in independent(start, min(start + _FETCHED, i.size)):
             p, q = i[pair], j[pair]
             away = minus(minus(of(middle, p), of(walked, p)), minus(of(middle, q), of(walked, q)))
-            gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _gap(
+            gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]), nowhere = _measure_gap(
                 away, of(ahead, p), of(ahead, q), of(up, p), of(up, q), half[p], half[q], radius[p] + radius[q]
             )
             lost[pair] = 1 if nowhere else 0
@@ -257,12 +259,12 @@ def measure_before(
         if gap[pair] < 0:
             p, q = i[pair], j[pair]
             depth[p], depth[q] = max(depth[p], -gap[pair]), max(depth[q], -gap[pair])
-    return listed(lost, i.size)
+    return compact_indices(lost, i.size)
 
 
 @kernel
 def find_meetings(
-    crowd: Crowded,
+    crowd: CrowdBodies,
     key: Array1[I64],
     i: Array1[I64],
     j: Array1[I64],
@@ -294,8 +296,15 @@ def find_meetings(
             if key[p] > key[q]:
                 p, q = j[pair], i[pair]
             away, wide = minus(of(middle, p), of(middle, q)), radius[p] + radius[q]
-            far, v, nowhere = _gap(
-                away, _single(ahead, p), _single(ahead, q), _single(up, p), _single(up, q), half[p], half[q], wide
+            far, v, nowhere = _measure_gap(
+                away,
+                _read_vector(ahead, p),
+                _read_vector(ahead, q),
+                _read_vector(up, p),
+                _read_vector(up, q),
+                half[p],
+                half[q],
+                wide,
             )
             i[pair], j[pair], gap[pair], (direction[0, pair], direction[1, pair], direction[2, pair]) = p, q, far, v
             known[pair] = (_LOST if nowhere else _MAY_MEET) if far < wide * _PROCESS else 0
@@ -338,7 +347,7 @@ def find_meetings(
 
 
 @kernel
-def gathered(rows: Array1[I64], crowd: Crowded, to: Bodies) -> None:
+def gather_bodies(rows: Array1[I64], crowd: CrowdBodies, to: Bodies) -> None:
     """The capsules of some rows."""
     middle, ahead, up, half, radius = crowd
     for k in independent(0, rows.size):

@@ -17,19 +17,19 @@ from antdsl.numerics import elementary, parallel, randomness
 from antdsl.numerics import vectors as vec
 from antdsl.runtime.moving.capsule_distances import (
     Bodies,
-    Crowded,
+    CrowdBodies,
     Shape,
     Trunks,
+    empty_extremes,
     find_meetings,
-    gathered,
+    gather_bodies,
     measure_before,
-    measured,
-    nothing_seen,
-    trunks,
+    measure_changed,
+    place_trunks,
 )
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.scene.library_bodies import CAPSULES, Capsule, body_of
-from antdsl.senses.touching import Bounds, within_reach
+from antdsl.scene.library_bodies import CAPSULES, Capsule, body_for_species
+from antdsl.senses.touching import Bounds, find_touching
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -48,7 +48,7 @@ def capsule_of(world: World, species: str) -> Capsule:
     for crowd in world.setting.crowds:
         if crowd.species == species and crowd.body:
             return CAPSULES[crowd.body]
-    return CAPSULES[body_of(species)]
+    return CAPSULES[body_for_species(species)]
 
 
 class Crowd:
@@ -68,14 +68,14 @@ class Crowd:
         """Measure the capsules of each species; return the bounds of all."""
         self.half, self.radius, self.ahead, self.reach = np.empty((4, len(self)))
         self.middle = np.empty((3, len(self)))
-        extremes, bounds = nothing_seen(), ()
+        extremes, bounds = empty_extremes(), ()
         for population, capsule, first in zip(self.species, self._capsules, self.first.tolist(), strict=False):
             own = self._registers(population)
             place = np.ascontiguousarray(population.position.T)
-            stands = (place, vec.named(own, "heading"), vec.named(own, "up"), own["size"])
+            stands = (place, vec.vector_registers(own, "heading"), vec.vector_registers(own, "up"), own["size"])
             shape = Shape(*map(float, (capsule.length, capsule.width, capsule.height, capsule.ahead)))
             capsules = Trunks(self.half, self.radius, self.ahead, self.reach, self.middle)
-            bounds = trunks(*stands, shape, first, capsules, extremes)
+            bounds = place_trunks(*stands, shape, first, capsules, extremes)
         return list(zip(bounds[:4], bounds[4:], strict=True))
 
     def __len__(self) -> int:
@@ -86,7 +86,7 @@ class Crowd:
         arrays = [read(population) for population in self.species]
         return arrays[0] if len(arrays) == 1 else np.concatenate(arrays, axis=axis)
 
-    def parts(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
+    def split_rows(self, rows: Rows) -> Iterator[tuple[Population, Rows]]:
         """Yield each species with its part of some ascending rows of the crowd, counted from the first agent of the species."""
         if len(self.species) == 1:
             yield self.species[0], rows
@@ -105,7 +105,7 @@ class Crowd:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Near:
+class NearPairs:
     """Pairs of capsules that are near each other. `rows` of the crowd that are in any pair, ascending. `i` and `j` index these;
     the first of a pair comes first by species and id. For each row, when the pairs were found: `middle`, `ahead` and `up` (3, k),
     `half` and `radius` (k), mm; `widest`: the largest radius of these. For each pair, as last measured: `gap` (m) mm, the
@@ -136,16 +136,16 @@ class Near:
         pairs, rows = len(self.i), len(self.rows)
         gap, direction, depth, lost = np.empty(pairs), np.empty((3, pairs)), np.empty(rows), np.empty(pairs, np.intp)
         count = measure_before(self.bodies, walked, self.i, self.j, gap, direction, depth, lost)
-        self.draw(direction, lost[:count])
+        self.draw_directions(direction, lost[:count])
         return gap, direction, depth
 
     def measure(self, displacement: Floats, changed: Flags) -> None:
         """Measure again the pairs of which a row has `changed` (k), after rows moved by (3, k) mm."""
         pair_numbers, lost = np.empty((2, len(self.i)), np.intp)
-        count = measured(self.bodies, displacement, self.i, self.j, changed, self.gap, self.direction, pair_numbers, lost)
-        self.draw(self.direction, lost[:count])
+        count = measure_changed(self.bodies, displacement, self.i, self.j, changed, self.gap, self.direction, pair_numbers, lost)
+        self.draw_directions(self.direction, lost[:count])
 
-    def draw(self, direction: Floats, which: Rows) -> None:
+    def draw_directions(self, direction: Floats, which: Rows) -> None:
         """Draw the separation axes (3, m) of pairs at one position: along the ground of the first agent, by the seed and both
         ids."""
         if not len(which):
@@ -161,40 +161,40 @@ class Near:
             turn[subset] = randomness.uniform(crowd.world.setting.seed, 0, one, f"parts from {other}", 0, ids)
         angle = turn * np.float32(2 * np.pi)
         normal = self.up.take(i, axis=1)
-        side = np.stack(vec.across((normal[0], normal[1], normal[2])))
+        side = np.stack(vec.any_perpendicular((normal[0], normal[1], normal[2])))
         direction[:, which] = side * elementary.cos(angle) + vec.stacked_cross(normal, side) * elementary.sin(angle)
 
 
-def find(crowd: Crowd, dead: float | None = None) -> Near:
+def find_near_pairs(crowd: Crowd, dead: float | None = None) -> NearPairs:
     """Return the pairs of a crowd that may touch. With `dead`, only pairs with a row that overlaps another by more than this
     share of both radii."""
     x, y, z = crowd.middle
-    pairs = within_reach((x, y, z), crowd.reach, crowd.key, crowd.bounds)
-    i, j, m = *parallel.plain(pairs.i, pairs.j), len(pairs.i)
+    pairs = find_touching((x, y, z), crowd.reach, crowd.key, crowd.bounds)
+    i, j, m = *parallel.contiguous(pairs.i, pairs.j), len(pairs.i)
     gap, direction, known = np.empty(m), np.empty((3, m)), np.empty(m, np.intp)
     rows, number = np.empty((2, len(crowd)), np.intp)
-    stand = Crowded(crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
+    stand = CrowdBodies(crowd.middle, crowd.vector("heading"), crowd.vector("up"), crowd.half, crowd.radius)
     every = (True, 0.0) if dead is None else (False, dead)
     m, count, lost, widest = find_meetings(stand, crowd.key, i, j, gap, direction, known, rows, number, *every)
     rows, (middle, ahead, up), (half, radius) = rows[:count], np.empty((3, 3, count)), np.empty((2, count))
     own = Bodies(middle, ahead, up, half, radius)
-    gathered(rows, stand, own)
-    near = Near(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(direction[:, :m]))
-    near.draw(near.direction, known[:lost])
+    gather_bodies(rows, stand, own)
+    near = NearPairs(crowd, rows, i[:m], j[:m], *own, widest, gap[:m], np.ascontiguousarray(direction[:, :m]))
+    near.draw_directions(near.direction, known[:lost])
     return near
 
 
-def depths(world: World) -> Floats:
+def overlap_depths(world: World) -> Floats:
     """Return each agent's greatest penetration depth, in widths of its trunk; 0 apart. The result is float64[n], species by
     species."""
     crowd = Crowd(world)
-    near = find(crowd)
+    near = find_near_pairs(crowd)
     depth = np.zeros(len(crowd))
-    depth[near.rows] = deepest(len(near.rows), near.i, near.j, near.gap) / (2 * near.radius)
+    depth[near.rows] = greatest_depths(len(near.rows), near.i, near.j, near.gap) / (2 * near.radius)
     return depth
 
 
-def deepest(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
+def greatest_depths(count: int, i: Rows, j: Rows, gap: Floats) -> Floats:
     """Return the greatest overlap (mm) of each of `count` rows, by the gaps of pairs; 0 without overlap."""
     depth, inside = np.zeros(count), np.flatnonzero(gap < 0)
     for k in (i.take(inside), j.take(inside)):

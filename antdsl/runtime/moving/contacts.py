@@ -22,9 +22,9 @@ from antdsl.numerics import elementary
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector, dot
 from antdsl.runtime.moving import corrections, cutting
-from antdsl.runtime.moving.capsules import Crowd, Near, find
-from antdsl.runtime.moving.corrections import Corrections, Feet, fill_approach, stands
-from antdsl.runtime.moving.separation import DEAD, FINE, arrays, faced, parted
+from antdsl.runtime.moving.capsules import Crowd, NearPairs, find_near_pairs
+from antdsl.runtime.moving.corrections import Corrections, FootPositions, fill_approach, fill_stances
+from antdsl.runtime.moving.separation import DEAD, FINE, arrays, restore_headings, separate_pairs
 from antdsl.runtime.world import PUSHED, World
 
 Floats = NDArray[np.float64]
@@ -67,24 +67,24 @@ def record_stances(world: World) -> Stances | None:
         return None
     species, headings = world.populations.items(), {}
     if world.setting.contacts == "hard":
-        headings = {name: vec.copy(vec.named(population.now, "heading")) for name, population in species}
+        headings = {name: vec.copy(vec.vector_registers(population.now, "heading")) for name, population in species}
     return Stances({name: population.position for name, population in species}, headings)
 
 
-def resolve(world: World, began: Stances, dt: float) -> None:
+def resolve_contacts(world: World, began: Stances, dt: float) -> None:
     """Move overlapping agents apart, after a substep of `dt` s that started at `began`."""
     if len(world) < 2:
         return
     effort, crowd = EFFORTS[world.setting.contacts], Crowd(world)
-    near = find(crowd, DEAD if effort.is_single else None)
+    near = find_near_pairs(crowd, DEAD if effort.is_single else None)
     if not len(near.i):
         return
     share = 1.0 if world.setting.contacts == "hard" else 1.0 - float(elementary.exp(_F(-dt / _SOFT)))
-    agents, walked = _Agents.of(crowd, near, began, dt)
+    agents, walked = _PairAgents.of(crowd, near, began, dt)
     gap, direction, depth = near.measure_before(walked)
     if world.setting.contacts == "hard":
-        cut, stopped, changed = cutting.cut(near, _find_approach(crowd, near.rows, dt), agents.mass, walked, gap, direction)
-        _face_as_before(crowd, near, stopped, began.headings)
+        cut, stopped, changed = cutting.cut_steps(near, _find_approach(crowd, near.rows, dt), agents.mass, walked, gap, direction)
+        _restore_headings(crowd, near, stopped, began.headings)
         near.measure(cut, changed)
     else:
         cut = np.zeros_like(near.middle)
@@ -95,32 +95,32 @@ def resolve(world: World, began: Stances, dt: float) -> None:
         moved_rows, requested_moves = corrections.led(asked)
         rows = near.rows.take(moved_rows)
         got = walking.walk(rows, requested_moves)
-        _note_pushes(crowd, rows, cut, moved_rows, requested_moves, got)
+        _record_pushes(crowd, rows, cut, moved_rows, requested_moves, got)
         if not left:
             break
         cut, held = np.zeros_like(cut), held.copy()
-        touched = corrections.missed(near, moved_rows, requested_moves, got, held)
+        touched = corrections.find_missed(near, moved_rows, requested_moves, got, held)
         if not touched.any():
             break
         near.measure(cut, touched)
-        visible_pairs = corrections.visible(near, touched)
+        visible_pairs = corrections.find_visible_pairs(near, touched)
         if visible_pairs is None:
             break
         which = visible_pairs
-        at = [population.position[own].T for population, own in crowd.parts(rows)]
+        at = [population.position[own].T for population, own in crowd.split_rows(rows)]
         walked[:, moved_rows] = (at[0] if len(at) == 1 else np.concatenate(at, axis=1)) - agents.start.take(moved_rows, axis=1)
 
 
 def _find_approach(crowd: Crowd, rows: Rows, dt: float) -> Floats:
     """Return the displacement (3, k) mm of rows of a crowd in the same time before this substep, by their velocity then."""
     first, displacement = 0, np.empty((3, len(rows)))
-    for population, own in crowd.parts(rows):
-        fill_approach(own, first, vec.named(population.start, "velocity"), dt, displacement)
+    for population, own in crowd.split_rows(rows):
+        fill_approach(own, first, vec.vector_registers(population.start, "velocity"), dt, displacement)
         first += len(own)
     return displacement
 
 
-def _note_pushes(crowd: Crowd, rows: Rows, cut: Floats, moved_rows: Rows, requested_moves: Floats, got: Floats) -> None:
+def _record_pushes(crowd: Crowd, rows: Rows, cut: Floats, moved_rows: Rows, requested_moves: Floats, got: Floats) -> None:
     """Add to the pushed distance of some rows of a crowd in this step, for species with a program that reads it. `rows` are
     ascending; `moved_rows` are their indices among those in pairs. Of the requested displacement `requested_moves`, (3, k) mm,
     only what others pushed counts, not what their own step was `cut` by. Of that, only the achieved part (`got`) counts."""
@@ -130,14 +130,14 @@ def _note_pushes(crowd: Crowd, rows: Rows, cut: Floats, moved_rows: Rows, reques
     short = np.where((pushed == 0).all(axis=0), 0.0, got - (requested_moves - pushed))
     far = np.sqrt(dot(short, short)).astype(_F)
     first = 0
-    for population, own in crowd.parts(rows):
+    for population, own in crowd.split_rows(rows):
         if PUSHED in population.now:
             population.now[PUSHED][own] += far[first : first + len(own)]
         first += len(own)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Agents:
+class _PairAgents:
     """What a substep needs of the rows in pairs.
 
     `start` (3, k) mm: their start; `reach` (k) mm: how far they may walk; `mass`; `yields`: the share of `mass` against which
@@ -151,13 +151,13 @@ class _Agents:
     frozen: Flags
 
     @staticmethod
-    def of(crowd: Crowd, near: Near, began: Stances, dt: float) -> tuple[_Agents, Floats]:
+    def of(crowd: Crowd, near: NearPairs, began: Stances, dt: float) -> tuple[_PairAgents, Floats]:
         """Return these values, and the displacement (3, k) mm of agents from their start."""
         rows = near.rows
         vectors, (reach, mass), first = np.empty((3, 3, len(rows))), np.empty((2, len(rows))), 0
-        for p, own in crowd.parts(rows):
-            feet = Feet(began.positions[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
-            stands(own, first, feet, dt, *vectors, reach, mass)
+        for p, own in crowd.split_rows(rows):
+            feet = FootPositions(began.positions[p.name], p.position, p.normal, p.now["max_speed"], p.now["mass"])
+            fill_stances(own, first, feet, dt, *vectors, reach, mass)
             first += len(own)
         start, walked, normal = vectors
         yields = np.ones(len(rows))
@@ -166,12 +166,12 @@ class _Agents:
             for k, other in ((near.i, near.j), (near.j, near.i)):
                 one, two = mass.take(k), mass.take(other)
                 np.maximum.at(yields, k, np.minimum(2 * two / (one + two), 1.0))
-        return _Agents(start, reach, mass, yields, normal, crowd.of(lambda p: p.quarantined).take(rows)), walked
+        return _PairAgents(start, reach, mass, yields, normal, crowd.of(lambda p: p.quarantined).take(rows)), walked
 
 
 def _separate(
-    near: Near,
-    agents: _Agents,
+    near: NearPairs,
+    agents: _PairAgents,
     which: Flags,
     held: Flags,
     walked: Floats,
@@ -192,16 +192,16 @@ def _separate(
     pairs = (near.i, near.j, near.gap, near.direction, which)
     stand = (agents.mass, agents.yields, agents.reach, depth, held, agents.normal, walked, cut)
     while looks:
-        looks, count = parted(bodies, pairs, stand, displacement, magic, looks, effort.sweeps, share, lost, work)
-        near.draw(near.direction, lost[:count])
+        looks, count = separate_pairs(bodies, pairs, stand, displacement, magic, looks, effort.sweeps, share, lost, work)
+        near.draw_directions(near.direction, lost[:count])
     return displacement
 
 
-def _face_as_before(crowd: Crowd, near: Near, stopped: Rows, facing: Mapping[str, Vector]) -> None:
+def _restore_headings(crowd: Crowd, near: NearPairs, stopped: Rows, facing: Mapping[str, Vector]) -> None:
     """Reset the headings of some rows of `near` to those before the substep: between others, an agent that cannot walk cannot
     turn either."""
     rows, last = near.rows.take(stopped), 0
-    for population, own in crowd.parts(rows):
+    for population, own in crowd.split_rows(rows):
         first, last = last, last + len(own)
-        vectors = (facing[population.name], *(vec.named(population.now, name) for name in ("up", "heading")))
-        faced(own, stopped[first:last], rows[first:last], *vectors, crowd.ahead, near.ahead, near.middle)
+        vectors = (facing[population.name], *(vec.vector_registers(population.now, name) for name in ("up", "heading")))
+        restore_headings(own, stopped[first:last], rows[first:last], *vectors, crowd.ahead, near.ahead, near.middle)

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from antdsl.ground.protocol import Move
 from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, Strided2, independent, inlined, kernel
 from antdsl.numerics import vectors as vec
-from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, dot, minus, of, plus, put, times
+from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, dot, minus, of, plus, put_vector, times
 from antdsl.numerics.vectors import Columns, Vector
-from antdsl.runtime.moving.capsules import Crowd, Near
-from antdsl.runtime.moving.falling import floating, pushed_in_the_air
+from antdsl.runtime.moving.capsules import Crowd, NearPairs
+from antdsl.runtime.moving.falling import find_airborne, push_airborne
 from antdsl.runtime.moving.obstacles import slide_some
 from antdsl.runtime.world import Population
 
@@ -40,7 +40,7 @@ class Corrections:
     def walk(self, rows: Rows, displacement: Floats) -> Floats:
         """Walk ascending rows of the crowd by (3, k) mm each; return the displacements reached."""
         got: list[Floats] = []
-        for population, own in self._crowd.parts(rows):
+        for population, own in self._crowd.split_rows(rows):
             first = sum(each.shape[1] for each in got)
             got.append(self._walk(population, own, displacement[:, first : first + len(own)]))
         return got[0] if len(got) == 1 else np.concatenate(got, axis=1)
@@ -54,14 +54,14 @@ class Corrections:
         step, normal, up, heading, size = self._prepare_walk(population, rows, displacement)
         step = slide_some(world, population, rows, step, normal)
         moved = world.ground.move(population.footing.take(rows), vec.rows(step), heading, up, size, threads)
-        if world.solids and len(airborne_rows := floating(world, population, rows)):
-            moved.put(airborne_rows, pushed_in_the_air(world, population, rows[airborne_rows], displacement.T[airborne_rows]))
-        fair = self._allowed(population, rows, moved, size)
+        if world.solids and len(airborne_rows := find_airborne(world, population, rows)):
+            moved.put(airborne_rows, push_airborne(world, population, rows[airborne_rows], displacement.T[airborne_rows]))
+        fair = self._lead_back(population, rows, moved, size)
         if fair is None:
-            return self._put(population, rows, moved)
+            return self._apply_move(population, rows, moved)
         got = np.zeros_like(displacement)
         if len(fair):
-            got[:, fair] = self._put(population, rows.take(fair), moved.take(fair))
+            got[:, fair] = self._apply_move(population, rows.take(fair), moved.take(fair))
         return got
 
     def _prepare_walk(
@@ -73,15 +73,24 @@ class Corrections:
         step, feet = np.empty((2, 3, len(rows)), np.float32)
         up, heading, size = *np.empty((2, 3, len(rows))), np.empty(len(rows))
         _prepare_walk(
-            rows, displacement, population.normal, vec.named(now, "heading"), now["size"], step, feet, up, heading, size
+            rows,
+            displacement,
+            population.normal,
+            vec.vector_registers(now, "heading"),
+            now["size"],
+            step,
+            feet,
+            up,
+            heading,
+            size,
         )
         return (step[0], step[1], step[2]), feet, up.T, heading.T, size
 
-    def _allowed(self, population: Population, rows: Rows, moved: Move, size: Floats) -> Rows | None:
+    def _lead_back(self, population: Population, rows: Rows, moved: Move, size: Floats) -> Rows | None:
         """Move agents back towards the start that curved ground led farther than they may walk. Returns the ascending indices of
         rows that are then within range; None for all."""
         for _ in range(_BACK):
-            far, most = self._reached(population, rows, moved)
+            far, most = self._measure_reach(population, rows, moved)
             if far is None:
                 return None
             over = np.flatnonzero(far > most * _LONGER)
@@ -92,39 +101,39 @@ class Corrections:
             again, ground = moved.take(over), self._crowd.world.ground
             threads = self._crowd.world.options.threads
             moved.put(over, ground.move(again.footing, back, again.heading, again.up, size[over], threads))
-        far, most = self._reached(population, rows, moved)
+        far, most = self._measure_reach(population, rows, moved)
         return None if far is None else np.flatnonzero(far <= most * _LONGER)
 
-    def _reached(self, population: Population, rows: Rows, moved: Move) -> tuple[Floats | None, Floats]:
+    def _measure_reach(self, population: Population, rows: Rows, moved: Move) -> tuple[Floats | None, Floats]:
         """Return the distances (mm) of some agents from their start, None if no agent exceeds its limit, and these limits."""
         began, max_speed = self._began[population.name], population.now["max_speed"]
         far, most = np.empty((2, len(rows)))
-        is_too_far = _too_far(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
+        is_too_far = _find_too_far(rows, moved.position, began, population.position, max_speed, self._dt, far, most)
         return (far if is_too_far else None), most
 
-    def _put(self, population: Population, rows: Rows, moved: Move) -> Floats:
+    def _apply_move(self, population: Population, rows: Rows, moved: Move) -> Floats:
         """Write the corrected footings of some agents; return the displacements (3, k) mm. Bodies stay upright as they are, or
         they would overlap others again: they lean, and the next step turns them after their feet. The arrays written to were
         created by the walk of this substep, so they are not shared."""
-        at, velocity = (vec.named(population.now, name) for name in ("position", "velocity"))
+        at, velocity = (vec.vector_registers(population.now, name) for name in ("position", "velocity"))
         got = np.empty((3, len(rows)))
-        _arrived(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal, got)
+        _store_arrivals(rows, moved.position, moved.up, self._dt, at, velocity, population.position, population.normal, got)
         population.footing.put(rows, moved.footing)  # at last, since a plane's footings are the places themselves
         return got
 
 
 @inlined
-def _row(table: Strided2[F64], i: I64) -> Vec3:
+def _read_row(table: Strided2[F64], i: I64) -> Vec3:
     """One of vectors (n, 3)."""
     return table[i, 0], table[i, 1], table[i, 2]
 
 
 @inlined
-def _single(v: Vec3) -> Vec3F32:
+def _to_float32(v: Vec3) -> Vec3F32:
     return np.float32(v[0]), np.float32(v[1]), np.float32(v[2])
 
 
-class Feet(NamedTuple):
+class FootPositions(NamedTuple):
     """Where feet of a species `began` and are now (n, 3), the normal of the ground (n, 3), the speed limit and the mass of
     agents."""
 
@@ -136,10 +145,10 @@ class Feet(NamedTuple):
 
 
 @kernel
-def stands(
+def fill_stances(
     rows: Array1[I64],
     first: I64,
-    species: Feet,
+    species: FootPositions,
     dt: F64,
     start: Array2[F64],
     walked: Array2[F64],
@@ -152,9 +161,9 @@ def stands(
     began, place, feet, max_speed, weight = species
     for n in independent(0, rows.size):
         row, k = rows[n], first + n
-        start_point = _row(began, row)
-        put(start, k, start_point)
-        put(walked, k, minus(_row(place, row), start_point))
+        start_point = _read_row(began, row)
+        put_vector(start, k, start_point)
+        put_vector(walked, k, minus(_read_row(place, row), start_point))
         normal[0, k], normal[1, k], normal[2, k] = feet[row, 0], feet[row, 1], feet[row, 2]
         reach[k] = np.float64(_ZERO if max_speed[row] <= 0 else max_speed[row]) * dt
         mass[k] = max(np.float64(weight[row]), _LIGHTEST)
@@ -193,7 +202,7 @@ def _prepare_walk(
 
 
 @kernel
-def _too_far(
+def _find_too_far(
     rows: Array1[I64],
     to: Strided2[F64],
     began: Strided2[F64],
@@ -208,8 +217,8 @@ def _too_far(
     is_too_far = False
     for k in range(rows.size):
         row = rows[k]
-        start = _row(began, row)
-        displacement, walked = minus(_row(to, k), start), minus(_row(place, row), start)
+        start = _read_row(began, row)
+        displacement, walked = minus(_read_row(to, k), start), minus(_read_row(place, row), start)
         far[k] = np.sqrt(dot(displacement, displacement))
         most[k] = max(np.float64(max_speed[row]) * dt, np.sqrt(dot(walked, walked)))
         is_too_far |= not far[k] <= most[k] * _LONGER
@@ -217,7 +226,7 @@ def _too_far(
 
 
 @kernel
-def _arrived(
+def _store_arrivals(
     rows: Array1[I64],
     to: Strided2[F64],
     above: Strided2[F64],
@@ -232,10 +241,10 @@ def _arrived(
     displacement `got` (3, k) mm."""
     for k in independent(0, rows.size):
         row = rows[k]
-        end, up = _row(to, k), _single(_row(above, k))
-        displacement = minus(end, _row(place, row))
-        put(got, k, displacement)
-        pushed = _single(displacement)
+        end, up = _read_row(to, k), _to_float32(_read_row(above, k))
+        displacement = minus(end, _read_row(place, row))
+        put_vector(got, k, displacement)
+        pushed = _to_float32(displacement)
         size = np.sqrt(dot(pushed, pushed))
         good = size > _TINY and np.isfinite(size)
         factor = _ONE / (size if good else _ONE)
@@ -259,18 +268,18 @@ def led(corrections: Floats) -> tuple[Rows, Floats]:
     return moved_rows[:count], requested_moves[:, :count]
 
 
-def missed(near: Near, moved_rows: Rows, requested_moves: Floats, got: Floats, held: Flags) -> Flags:
+def find_missed(near: NearPairs, moved_rows: Rows, requested_moves: Floats, got: Floats, held: Flags) -> Flags:
     """Return which rows (k) are measured again. Rows `moved_rows` were to move by `requested_moves` (3, ..) mm and have moved by
     `got`. Updates their positions. Sets `held` (k) for rows that advanced too little; flags already set stay."""
     touched = np.zeros(len(held), np.bool_)
-    _missed(moved_rows, requested_moves, got, near.radius, near.middle, held, touched)
+    _find_missed(moved_rows, requested_moves, got, near.radius, near.middle, held, touched)
     return touched
 
 
-def visible(near: Near, touched: Flags) -> Flags | None:
+def find_visible_pairs(near: NearPairs, touched: Flags) -> Flags | None:
     """Return which pairs (m) have a row that is `touched` (k); None if none of them overlaps enough for another round."""
     which = np.empty(len(near.i), np.bool_)
-    return which if _visible(near.i, near.j, near.gap, near.radius, touched, which) else None
+    return which if _find_visible_pairs(near.i, near.j, near.gap, near.radius, touched, which) else None
 
 
 @kernel
@@ -281,13 +290,13 @@ def _select_moves(corrections: Array2[F64], moved_rows: Array1[I64], requested_m
     for k in range(moved_rows.size):
         correction = of(corrections, k)
         moved_rows[count] = k  # written whatever it is: no branch that is hard to foretell
-        put(requested_moves, count, correction)
+        put_vector(requested_moves, count, correction)
         count += (correction[0] != 0) | (correction[1] != 0) | (correction[2] != 0)
     return count
 
 
 @kernel
-def _missed(
+def _find_missed(
     moved_rows: Array1[I64],
     requested_moves: Strided2[F64],
     got: Strided2[F64],
@@ -299,7 +308,7 @@ def _missed(
     for n in independent(0, moved_rows.size):
         row, to, on = moved_rows[n], of(requested_moves, n), of(got, n)
         short, far = minus(to, on), _MISSED * radius[row]
-        put(middle, row, plus(of(middle, row), on))
+        put_vector(middle, row, plus(of(middle, row), on))
         if dot(short, short) > far * far:
             touched[row] = True
             if dot(on, to) < _HELD * dot(to, to):
@@ -307,7 +316,7 @@ def _missed(
 
 
 @kernel
-def _visible(
+def _find_visible_pairs(
     i: Array1[I64], j: Array1[I64], gap: Array1[F64], radius: Array1[F64], touched: Array1[BOOL], which: Array1[BOOL]
 ) -> BOOL:
     """Write which pairs have a row that is `touched`; return whether any of them overlaps enough for another round."""

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, independent, inlined, kernel
-from antdsl.numerics.kernel_vectors import Vec3, dot, minus, of, put, times
-from antdsl.numerics.sorting import listed
-from antdsl.runtime.moving.capsules import Near
+from antdsl.numerics.kernel_vectors import Vec3, dot, minus, of, put_vector, times
+from antdsl.numerics.sorting import compact_indices
+from antdsl.runtime.moving.capsules import NearPairs
 
 Floats = NDArray[np.float64]
 Rows = NDArray[np.intp]
@@ -22,7 +22,9 @@ _GOES = 0.5  # of its way: who goes less is stopped
 _BENDS = 3  # times that a step is bent along those in its way, before it is cut
 
 
-def cut(near: Near, approach: Floats, mass: Floats, walked: Floats, gap: Floats, direction: Floats) -> tuple[Floats, Rows, Flags]:
+def cut_steps(
+    near: NearPairs, approach: Floats, mass: Floats, walked: Floats, gap: Floats, direction: Floats
+) -> tuple[Floats, Rows, Flags]:
     """Cut and deflect steps of rows that `walked` (3, k) mm, so that no agent enters another. Returns the displacements (3, k) mm
     of that correction, the stopped rows, and flags (k) of rows that are cut or stopped. An agent that goes less than half of its
     step is stopped. `approach` (3, k) mm: the displacements in a period of equal length before this one. `gap` (m) and
@@ -43,14 +45,14 @@ def cut(near: Near, approach: Floats, mass: Floats, walked: Floats, gap: Floats,
 
 
 @inlined
-def add(sums: Array2[F64], i: I64, v: Vec3, magic: F64) -> None:
+def add_rounded(sums: Array2[F64], i: I64, v: Vec3, magic: F64) -> None:
     """Add a term, rounded to the quantum of `magic`, to a sum."""
     for axis in range(3):
         sums[axis, i] += (v[axis] + magic) - magic
 
 
 @inlined
-def negative(v: Vec3) -> Vec3:
+def negate(v: Vec3) -> Vec3:
     return -v[0], -v[1], -v[2]
 
 
@@ -95,13 +97,13 @@ def _bend_steps(
             far += heavier * max(towards - far, 0.0)
             free[side, pair] = far
             over = 1 if towards - far > 0 else over
-            pair_direction = negative(pair_direction)
+            pair_direction = negate(pair_direction)
         pairs[pair] = over
-    count, rows = listed(pairs, i.size), 0
+    count, rows = compact_indices(pairs, i.size), 0
     meeting_counts[:] = 0
     part[:] = 1.0
     for k in independent(0, part.size):
-        put(cut, k, of(walked, k))
+        put_vector(cut, k, of(walked, k))
     for bend in range(_BENDS):
         has_overlap = False
         for n in range(count):
@@ -116,10 +118,10 @@ def _bend_steps(
                         if bend == 0:
                             bent_rows[rows] = k
                             rows += 1
-                    add(sums, k, times(pair_direction, over), magic)
+                    add_rounded(sums, k, times(pair_direction, over), magic)
                     meeting_counts[k] += 1
                     has_overlap = True
-                pair_direction = negative(pair_direction)
+                pair_direction = negate(pair_direction)
         if not has_overlap:
             break
         for n in range(rows):
@@ -130,7 +132,7 @@ def _bend_steps(
         if bend == 0:
             for pair in independent(0, i.size):
                 pairs[pair] = 1 if (meeting_counts[i[pair]] != 0) | (meeting_counts[j[pair]] != 0) else 0
-            count = listed(pairs, i.size)
+            count = compact_indices(pairs, i.size)
         for n in range(rows):
             meeting_counts[bent_rows[n]] = 0
     for n in range(count):
@@ -141,13 +143,13 @@ def _bend_steps(
             towards = -dot(pair_direction, of(cut, k))
             if towards > free[side, pair]:
                 part[k] = min(part[k], free[side, pair] / max(towards, 1e-300))
-            pair_direction = negative(pair_direction)
+            pair_direction = negate(pair_direction)
     for k in independent(0, part.size):
         way_on = of(walked, k)
         step = times(of(cut, k), part[k])
         short = minus(step, way_on)
-        put(cut, k, short)
+        put_vector(cut, k, short)
         held = dot(step, step) < _GOES * _GOES * dot(way_on, way_on)
         stopped[k] = 1 if held else 0
         changed[k] = held | (short[0] != 0) | (short[1] != 0) | (short[2] != 0)
-    return listed(stopped, part.size)
+    return compact_indices(stopped, part.size)

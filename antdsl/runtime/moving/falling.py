@@ -19,7 +19,7 @@ _TOUCHES = 0.02  # of a body: how far from a solid who stands on it may be
 _LENGTHS = 7.5  # body lengths a second: falling speed of agents with a max_speed of 0
 
 
-def in_the_air(world: World, population: Population, moved: Move, dt: np.float32) -> Move:
+def limit_fall(world: World, population: Population, moved: Move, dt: np.float32) -> Move:
     """Limit the result of a walk: agents that would exceed `max_speed` go only that far on the straight line to their target.
     They are then in the air of the solid that they fall from or come to. Their next step continues from there."""
     now, first = population.now, len(world.ground.names) - len(world.solids)
@@ -38,7 +38,7 @@ def in_the_air(world: World, population: Population, moved: Move, dt: np.float32
     return dataclasses.replace(moved, footing=footing, position=position)
 
 
-def floating(world: World, population: Population, rows: Rows) -> Rows:
+def find_airborne(world: World, population: Population, rows: Rows) -> Rows:
     """Return which of some agents (ascending indices into `rows`) are falling through the air of a solid."""
     first = len(world.ground.names) - len(world.solids)
     mesh = population.footing.mesh[rows]
@@ -49,7 +49,7 @@ def floating(world: World, population: Population, rows: Rows) -> Rows:
     return np.flatnonzero(is_airborne)
 
 
-def pushed_in_the_air(world: World, population: Population, rows: Rows, displacement: Floats) -> Move:
+def push_airborne(world: World, population: Population, rows: Rows, displacement: Floats) -> Move:
     """Return where pushes (k, 3) mm move agents in the air of a solid: straight ahead, but not into a solid."""
     place = population.position[rows] + displacement
     for volume in world.solids.values():

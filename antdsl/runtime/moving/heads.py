@@ -12,7 +12,7 @@ RAISED = 0.1  # of a body: how high its middle is over the feet, unless its clea
 HEAD_DEPTH = 0.1  # of a body: a head that is no deeper inside but touches
 
 
-def heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
+def find_heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
     """Return which heads, bool[n], are inside the ground or a solid in the current state.
 
     A head is half a body ahead of the middle. The middle is above the feet, along the mean of the ground's normal and the body's
@@ -29,7 +29,7 @@ def heads_inside(world: World, population: Population) -> NDArray[np.bool_]:
     is_inside = np.zeros(len(population), np.bool_)
     meshes = world.ground.meshes
     if meshes is not None:
-        which, part, normal = meshes.faced(middle.T, ahead.T, world.options.threads)
+        which, part, normal = meshes.trace_normals(middle.T, ahead.T, world.options.threads)
         beyond = np.abs(vec.dot(ahead.take(which, axis=1), normal)) * (1 - part)
         is_inside[which] = beyond > HEAD_DEPTH * size.take(which)
     for volume in world.solids.values():

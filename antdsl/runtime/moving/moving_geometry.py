@@ -12,7 +12,7 @@ from antdsl.ground.moving import Axes, MovingGround
 from antdsl.ground.protocol import Footing, Move
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.vectors import Vector
-from antdsl.runtime.moving.obstacles import mesh_of
+from antdsl.runtime.moving.obstacles import obstacle_mesh
 from antdsl.runtime.world import AXES, Population, World
 
 _CURVE_PIECE = 1.0  # mm: queries for the nearest point and direction split a curve into pieces of this length
@@ -21,23 +21,23 @@ _PUSHES = 4  # ways out that are tried in one step
 _F = np.float32
 
 
-def carry(world: World) -> None:
+def move_world(world: World) -> None:
     """Move everything to the next frame: agents with the ground they stand on, then out of the way of obstacles."""
     if not world.setting.moves:
         return
-    ground = moving(world)
+    ground = moving_ground(world)
     standing = [(p, *_find_riders(ground, p)) for p in world.populations.values() if len(p)]
-    pose(world, world.frame + 1)
+    pose_world(world, world.frame + 1)
     for population, rows, previous_axes in standing:
         if ground is not None and previous_axes is not None and len(rows):
-            _carried(ground, population, rows, previous_axes)
+            _carry_riders(ground, population, rows, previous_axes)
     for name in world.plan.of_kind("obstacle"):
         if name in world.setting.moves.meshes and name in world.obstacles:
             for population, _, _ in standing:
-                _pushed(world, population, name)
+                _push_out(world, population, name)
 
 
-def pose(world: World, frame: int) -> None:
+def pose_world(world: World, frame: int) -> None:
     """Move all moving things to their places at a frame of the scene. Agents stay on their footing and are not moved
     themselves."""
     moves = world.setting.moves
@@ -46,9 +46,9 @@ def pose(world: World, frame: int) -> None:
     pose_ground(world, frame)
     for name in moves.meshes:
         if name in world.obstacles:
-            world.obstacles[name] = _rays(world, name, frame)
+            world.obstacles[name] = _make_ray_scene(world, name, frame)
             if world.detail is not None and name in world.setting.obstacles:
-                world.detail.pose(name, vertices_at(world, name, frame))
+                world.detail.move_boxes(name, vertices_at(world, name, frame))
     for name, tracks in moves.items.items():
         if name in world.items:
             items = world.items[name]
@@ -57,11 +57,11 @@ def pose(world: World, frame: int) -> None:
                 items.visible_values[axis] = items.position[:, k].astype(np.float32)
     for name, tracks in moves.curves.items():
         if name in world.curves:
-            world.curves[name] = curve(moves.points(tracks, frame) - world.origin)
+            world.curves[name] = make_curve(moves.points(tracks, frame) - world.origin)
     world.clearances.clear()
 
 
-def moving(world: World) -> MovingGround | None:
+def moving_ground(world: World) -> MovingGround | None:
     """The ground of meshes, if some of them move."""
     meshes = world.ground.meshes
     return meshes if isinstance(meshes, MovingGround) else None
@@ -69,27 +69,27 @@ def moving(world: World) -> MovingGround | None:
 
 def pose_ground(world: World, frame: int) -> None:
     """Move only the ground, using NumPy alone: for callers that read a world and cast no rays."""
-    ground = moving(world)
+    ground = moving_ground(world)
     if ground is not None:
         moved = [name for name in world.setting.moves.meshes if name in world.setting.surfaces]
-        ground.pose({name: vertices_at(world, name, frame) for name in moved})
+        ground.pose_meshes({name: vertices_at(world, name, frame) for name in moved})
 
 
 def vertices_at(world: World, name: str, frame: int) -> NDArray[np.float64]:
     """Return the vertices of a mesh at a frame of the scene, in the world's coordinates."""
     moves, setting = world.setting.moves, world.setting
     mesh = setting.surfaces[name] if name in setting.surfaces else setting.obstacles[name]
-    return moves.meshes[name].vertices(mesh.vertices, frame - moves.first) - world.origin
+    return moves.meshes[name].vertices_at(mesh.vertices, frame - moves.first) - world.origin
 
 
-def curve(points: NDArray[np.float64]) -> Curve:
+def make_curve(points: NDArray[np.float64]) -> Curve:
     """Return a curve that is ready for queries."""
     return Curve(points, _CURVE_PIECE)
 
 
 def ground_velocity(world: World, population: Population) -> NDArray[np.float64] | None:
     """Return the velocity (n, 3) mm/s of the ground points below agents in the last step; None if no ground moves."""
-    ground, moves = moving(world), world.setting.moves
+    ground, moves = moving_ground(world), world.setting.moves
     if ground is None:
         return None
     speed = np.zeros((len(population), 3))
@@ -105,57 +105,59 @@ def ground_velocity(world: World, population: Population) -> NDArray[np.float64]
     return speed
 
 
-def rest_places(world: World, population: Population) -> NDArray[np.float64]:
+def agent_rest_positions(world: World, population: Population) -> NDArray[np.float64]:
     """Return the rest positions (n, 3) of the ground points below agents: the space in which fields have their cells."""
-    return at_rest(world, population.footing, population.position)
+    return rest_positions(world, population.footing, population.position)
 
 
-def at_rest(world: World, footing: Footing, place: NDArray[np.float64]) -> NDArray[np.float64]:
-    """As `rest_places`, for any footings at places (n, 3)."""
-    ground = moving(world)
+def rest_positions(world: World, footing: Footing, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """As `agent_rest_positions`, for any footings at places (n, 3)."""
+    ground = moving_ground(world)
     if ground is None:
         return place
     place = place.copy()
-    rows = ground.carries(footing.mesh)
-    place[rows] = ground.rest_position(footing.faces(rows))
+    rows = ground.rows_on_moving(footing.mesh)
+    place[rows] = ground.rest_position(footing.take_on_meshes(rows))
     return place
 
 
-def turned_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: Vector) -> Vector:
+def rotate_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, vectors: Vector) -> Vector:
     """Return vectors (three float32 arrays) of the ground at rest, rotated to the current ground below each agent."""
-    ground = moving(world)
+    ground = moving_ground(world)
     if ground is None:
         return vectors
-    on = ground.carries(population.footing.mesh[rows])
+    on = ground.rows_on_moving(population.footing.mesh[rows])
     if not len(on):
         return vectors
-    footing = population.footing.faces(np.arange(len(population))[rows][on])
-    turned = _turn(ground.rest_axes(footing), ground.axes(footing), np.stack([np.asarray(v, np.float64)[on] for v in vectors]))
+    footing = population.footing.take_on_meshes(np.arange(len(population))[rows][on])
+    turned = _rotate_vectors(
+        ground.rest_axes(footing), ground.axes(footing), np.stack([np.asarray(v, np.float64)[on] for v in vectors])
+    )
     turned_vectors = vec.copy(vectors)
     for component, value in zip(turned_vectors, turned, strict=True):
         component[on] = value
     return turned_vectors
 
 
-def from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, positions: Vector) -> Vector:
+def move_from_rest(world: World, population: Population, rows: NDArray[np.intp] | slice, positions: Vector) -> Vector:
     """Return the current positions of places (three float32 arrays) near agents on the ground at rest. All ground near an agent
     is assumed to have moved like its own face."""
-    ground = moving(world)
+    ground = moving_ground(world)
     if ground is None:
         return positions
-    on = ground.carries(population.footing.mesh[rows])
+    on = ground.rows_on_moving(population.footing.mesh[rows])
     if not len(on):
         return positions
-    standing = population.footing.faces(np.arange(len(population))[rows][on])
+    standing = population.footing.take_on_meshes(np.arange(len(population))[rows][on])
     rest_points = np.stack([np.asarray(p, np.float64)[on] for p in positions])
-    away = _turn(ground.rest_axes(standing), ground.axes(standing), rest_points - ground.rest_position(standing).T)
+    away = _rotate_vectors(ground.rest_axes(standing), ground.axes(standing), rest_points - ground.rest_position(standing).T)
     current_positions = vec.copy(positions)
     for component, value in zip(current_positions, ground.position(standing).T + away, strict=True):
         component[on] = value
     return current_positions
 
 
-def _rays(world: World, name: str, frame: int) -> RayScene:
+def _make_ray_scene(world: World, name: str, frame: int) -> RayScene:
     setting = world.setting
     mesh = setting.surfaces[name] if name in setting.surfaces else setting.obstacles[name]
     return RayScene(vertices_at(world, name, frame), mesh.faces, brief=True)
@@ -165,17 +167,20 @@ def _find_riders(ground: MovingGround | None, population: Population) -> tuple[N
     """Return the rows of agents on moving ground, and the frames of their faces before it moves."""
     if ground is None:
         return np.empty(0, np.intp), None
-    rows = ground.carries(population.footing.mesh)
-    return rows, ground.axes(population.footing.faces(rows))
+    rows = ground.rows_on_moving(population.footing.mesh)
+    return rows, ground.axes(population.footing.take_on_meshes(rows))
 
 
-def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: Axes) -> None:
+def _carry_riders(ground: MovingGround, population: Population, rows: NDArray[np.intp], previous_axes: Axes) -> None:
     """Rotate the position, up, heading and velocity of agents on moved ground as their face has turned."""
-    footing = population.footing.faces(rows)
+    footing = population.footing.take_on_meshes(rows)
     next_axes = ground.axes(footing)
     now = population.now
-    turned = {name: _turn(previous_axes, next_axes, _vectors(population, name, rows)) for name in ("up", "heading", "velocity")}
-    up = np.ascontiguousarray(ground.upright(footing, turned["up"].T).T)
+    turned = {
+        name: _rotate_vectors(previous_axes, next_axes, _read_vectors(population, name, rows))
+        for name in ("up", "heading", "velocity")
+    }
+    up = np.ascontiguousarray(ground.upright_normals(footing, turned["up"].T).T)
     heading = turned["heading"] - up * (turned["heading"] * up).sum(axis=0)
     size = np.sqrt((heading * heading).sum(axis=0))
     turned["heading"] = np.where(size > 1e-12, heading / np.where(size > 0, size, 1.0), turned["heading"])
@@ -188,21 +193,21 @@ def _carried(ground: MovingGround, population: Population, rows: NDArray[np.intp
             now[f"{name}.{axis}"][rows] = component
 
 
-def _turn(previous_axes: Axes, next_axes: Axes, v: NDArray[np.float64]) -> NDArray[np.float64]:
+def _rotate_vectors(previous_axes: Axes, next_axes: Axes, v: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return vectors (3, n) with unchanged components along the axes of a frame that has turned."""
     parts = [(a[0] * v[0] + a[1] * v[1]) + a[2] * v[2] for a in previous_axes]
     turned: NDArray[np.float64] = (parts[0] * next_axes[0] + parts[1] * next_axes[1]) + parts[2] * next_axes[2]
     return turned
 
 
-def _vectors(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.float64]:
+def _read_vectors(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.float64]:
     return np.stack([population.now[f"{name}.{axis}"][rows] for axis in AXES]).astype(np.float64)
 
 
-def _pushed(world: World, population: Population, name: str) -> None:
+def _push_out(world: World, population: Population, name: str) -> None:
     """Walk agents out of an obstacle that has reached them, away from its nearest face, until its margin is free."""
-    scene, now = mesh_of(world, name), population.now
-    place = vec.named(now, "position")
+    scene, now = obstacle_mesh(world, name), population.now
+    place = vec.vector_registers(now, "position")
     margin = np.maximum(now["radius"], _F(0)) * _MARGIN
     rows = np.flatnonzero(scene.clearance(*place) <= margin)
     for _ in range(_PUSHES):
@@ -214,7 +219,7 @@ def _pushed(world: World, population: Population, name: str) -> None:
         if not len(pressed_rows):
             return
         rows, need = rows[pressed_rows], need[pressed_rows]
-        up, heading = vec.take(vec.named(now, "up"), rows), vec.take(vec.named(now, "heading"), rows)
+        up, heading = vec.take(vec.vector_registers(now, "up"), rows), vec.take(vec.vector_registers(now, "heading"), rows)
         away = vec.flat((out[0][pressed_rows], out[1][pressed_rows], out[2][pressed_rows]), up)
         level = vec.length(away)
         # a face that comes down from above leads nowhere: then it goes the way it looks
@@ -228,16 +233,16 @@ def _pushed(world: World, population: Population, name: str) -> None:
             now["size"][rows].astype(np.float64),
             world.options.threads,
         )
-        _put(population, rows, moved)
+        _apply_move(population, rows, moved)
 
 
-def _put(population: Population, rows: NDArray[np.intp], moved: Move) -> None:
+def _apply_move(population: Population, rows: NDArray[np.intp], moved: Move) -> None:
     """Place some agents where a push has moved them; their velocity continues along the ground there."""
     footing = population.footing.copy()  # a snapshot may have the one from before
     footing.put(rows, moved.footing)
     population.footing = footing
     population.position[rows] = moved.position
-    velocity = _vectors(population, "velocity", rows)
+    velocity = _read_vectors(population, "velocity", rows)
     up = np.asarray(moved.up).T
     flat = velocity - up * (velocity * up).sum(axis=0)
     for name, value in (("position", moved.position.T), ("up", up), ("heading", moved.heading.T), ("velocity", flat)):

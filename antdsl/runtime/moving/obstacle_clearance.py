@@ -12,12 +12,12 @@ from antdsl.runtime.world import Population, World
 _SLACK = np.float32(FAR_OFF)
 
 
-def clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:
+def cached_clearance(world: World, population: Population, obstacle: str) -> NDArray[np.float32]:
     """Return a distance (mm, float32[n]) within which an agent has no face of the obstacle; 0 when near. Cached for the step."""
     key = (population.name, obstacle, population.version)
     distances = world.clearances.get(key)
     if distances is None:
-        place = vec.named(population.start, "position")
+        place = vec.vector_registers(population.start, "position")
         distances = world.obstacles[obstacle].clearance(*place, world.options.threads)
         world.clearances[key] = distances
     return distances

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.grid_rays import AHEAD, Grid, feel
-from antdsl.casting.nearest_faces import fetch_around, fetch_lists, way_out
+from antdsl.casting.grid_rays import AHEAD, Grid, cast_feeler
+from antdsl.casting.nearest_faces import prefetch_around, prefetch_lists, signed_distance
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import FURTHER
 from antdsl.machine_code.kernels import BOOL, F32, I64, Array1, Array2, Strided2, independent, inlined, kernel, scratch
@@ -17,7 +17,7 @@ from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3F32, VectorColumns, dot, minus, plus, times
 from antdsl.numerics.vectors import Columns, Vector
-from antdsl.runtime.moving.obstacle_clearance import clearance
+from antdsl.runtime.moving.obstacle_clearance import cached_clearance
 from antdsl.runtime.world import Population, World
 
 _F = np.float32
@@ -32,54 +32,54 @@ _LOOKS, _LONGER = 1 + 1e-6, _F(1) + _F(1e-6)  # more than rounding makes of a di
 
 def slide(world: World, population: Population, step: Vector, up: Columns, radius: NDArray[np.float32]) -> Vector:
     """Return the step (mm) of every agent, bent along the obstacles in its way. `up` is the normal of the ground."""
-    names = _names(world)
+    names = _obstacle_names(world)
     if names:
-        place, began = vec.named(population.now, "position"), _where_they_were(population, world.options.threads)
+        place, began = vec.vector_registers(population.now, "position"), _is_at_start(population, world.options.threads)
     for name in names:
-        scene = mesh_of(world, name)
-        clear = clearance(world, population, name) if began else scene.clearance(*place)
-        step = _along(scene, place, step, up, radius, clear, world.options.threads)
+        scene = obstacle_mesh(world, name)
+        clear = cached_clearance(world, population, name) if began else scene.clearance(*place)
+        step = _slide_along(scene, place, step, up, radius, clear, world.options.threads)
     return step
 
 
 def slide_some(world: World, population: Population, rows: NDArray[np.intp], step: Vector, up: Columns) -> Vector:
     """As `slide`, for some agents, from their current positions within a step that began elsewhere."""
-    names = _names(world)
+    names = _obstacle_names(world)
     if names:
-        place, radius, drift = _strayed(population, rows)
+        place, radius, drift = _measure_drift(population, rows)
     for name in names:
-        clear = clearance(world, population, name).take(rows) - drift
-        step = _along(mesh_of(world, name), place, step, up, radius, clear, world.options.threads)
+        clear = cached_clearance(world, population, name).take(rows) - drift
+        step = _slide_along(obstacle_mesh(world, name), place, step, up, radius, clear, world.options.threads)
     return step
 
 
-def _strayed(population: Population, rows: NDArray[np.intp]) -> tuple[Vector, NDArray[np.float32], NDArray[np.float32]]:
+def _measure_drift(population: Population, rows: NDArray[np.intp]) -> tuple[Vector, NDArray[np.float32], NDArray[np.float32]]:
     """Return positions of some agents, their radii, and an upper bound of their distance (mm) from the start of the step."""
-    positions, start = (vec.named(registers, "position") for registers in (population.now, population.start))
+    positions, start = (vec.vector_registers(registers, "position") for registers in (population.now, population.start))
     place, radius, drift = np.empty((3, len(rows)), np.float32), *np.empty((2, len(rows)), np.float32)
-    strayed(rows, positions, start, population.now["radius"], place, radius, drift)
+    measure_drift(rows, positions, start, population.now["radius"], place, radius, drift)
     return (place[0], place[1], place[2]), radius, drift
 
 
-def _names(world: World) -> list[str]:
+def _obstacle_names(world: World) -> list[str]:
     """Obstacles that there are."""
     return [name for name in world.plan.of_kind("obstacle") if name in world.obstacles]
 
 
-def mesh_of(world: World, name: str) -> RayScene:
+def obstacle_mesh(world: World, name: str) -> RayScene:
     """Return the mesh of an obstacle that agents cannot walk through. Solids are not among them."""
     scene = world.obstacles[name]
     assert isinstance(scene, RayScene)
     return scene
 
 
-def _where_they_were(population: Population, threads: int) -> bool:
+def _is_at_start(population: Population, threads: int) -> bool:
     """Return whether all agents are still where the step began; this is false after a first substep."""
-    now, start = vec.named(population.now, "position"), vec.named(population.start, "position")
-    return all(parallel.in_parts(partial(same, now, start), len(population), threads, parallel.LIGHT))
+    now, start = vec.vector_registers(population.now, "position"), vec.vector_registers(population.start, "position")
+    return all(parallel.in_parts(partial(is_unchanged, now, start), len(population), threads, parallel.LIGHT))
 
 
-def _along(
+def _slide_along(
     scene: RayScene, place: Vector, step: Vector, up: Columns, radius: NDArray[np.float32], clear: NDArray[np.float32],
     threads: int,
 ) -> Vector:  # fmt: skip
@@ -90,13 +90,13 @@ def _along(
     if tables is not None:
         (rows, hit_rows), columns, faces = np.empty((2, n), np.int64), np.empty((10, n), np.float32), np.empty((4, n), np.float32)
         normals = np.stack(up) if isinstance(up, tuple) else up
-        work = partial(along, tables, place, step, normals, radius, clear, rows, columns, hit_rows, faces)
+        work = partial(bend_steps, tables, place, step, normals, radius, clear, rows, columns, hit_rows, faces)
         parts = parallel.in_parts(work, n, threads, parallel.LIGHT)
         if not any([left for _, _, _, left in parts]):
-            return _turned(scene, step, rows, columns, hit_rows, faces, parts, threads)
+            return _turn_at_hits(scene, step, rows, columns, hit_rows, faces, parts, threads)
     rows, columns = np.empty(n, np.int64), np.empty((9, n), np.float32)
-    parts = parallel.in_parts(partial(touching, place, step, radius, clear, rows, columns), n, threads)
-    rows, columns = parallel.joined(parts, rows, columns)
+    parts = parallel.in_parts(partial(select_touching, place, step, radius, clear, rows, columns), n, threads)
+    rows, columns = parallel.join_parts(parts, rows, columns)
     count, columns = len(rows), np.ascontiguousarray(columns)
     if not count:
         return step
@@ -108,7 +108,7 @@ def _along(
     a, b, c = new_steps
     if asking:
         px, py, pz, dx, dy, dz, reach, size, margin = rays[:, :asking]
-        hits = scene.feelers(px, py, pz, dx, dy, dz, reach, threads=threads)
+        hits = scene.cast_feelers(px, py, pz, dx, dy, dz, reach, threads=threads)
         hit_rows = np.flatnonzero(hits.hit)
         if len(hit_rows):
             free, normal = (
@@ -116,10 +116,10 @@ def _along(
                 (hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows]),
             )
             _turn_aside(scene, (x, y, z), (a, b, c), above, columns[1], going[hit_rows], free, normal, threads)
-    return _put(step, rows, new_steps)
+    return _replace_rows(step, rows, new_steps)
 
 
-def _turned(
+def _turn_at_hits(
     scene: RayScene,
     step: Vector,
     rows: NDArray[np.int64],
@@ -131,10 +131,10 @@ def _turned(
 ) -> Vector:
     """Return the steps, with those deflected by the kernel `along` replaced. Steps that also hit a face are turned aside from
     it."""
-    rows, columns = parallel.joined(parts, rows, columns)
+    rows, columns = parallel.join_parts(parts, rows, columns)
     if not len(rows):
         return step
-    hit_rows, hits = parallel.joined([(begin, hit) for begin, _, hit, _ in parts], hit_rows, hits)
+    hit_rows, hits = parallel.join_parts([(begin, hit) for begin, _, hit, _ in parts], hit_rows, hits)
     if len(hit_rows):
         if len(parts) > 1:  # each part counts its own
             counts = [count for _, count, _, _ in parts]
@@ -142,13 +142,13 @@ def _turned(
         free, *normal = hits
         place, new_steps, above = (columns[k : k + 3] for k in (0, 3, 6))
         _turn_aside(scene, place, new_steps, above, columns[9], hit_rows, free, (normal[0], normal[1], normal[2]), threads)
-    return _put(step, rows, columns[3:6])
+    return _replace_rows(step, rows, columns[3:6])
 
 
-def _put(step: Vector, rows: NDArray[np.int64], own: NDArray[np.float32]) -> Vector:
+def _replace_rows(step: Vector, rows: NDArray[np.int64], own: NDArray[np.float32]) -> Vector:
     """Steps, of some rows their own (3, k)."""
     to = np.empty((3, len(step[0])), np.float32)
-    put(step, rows, own, to)
+    replace_rows(step, rows, own, to)
     return to[0], to[1], to[2]
 
 
@@ -172,7 +172,7 @@ def _turn_aside(
     into = np.minimum(vec.dot(rest, wall), _F(0))
     new_steps = vec.add(vec.scale(intended_steps, part), vec.sub(rest, vec.scale(wall, into)))
     # In a corner the way along one wall leads into the next: then it goes only as far as is free.
-    again, free, _ = _ahead(scene, vec.take(place, hit_rows), new_steps, margin[hit_rows], threads)
+    again, free, _ = _find_hits(scene, vec.take(place, hit_rows), new_steps, margin[hit_rows], threads)
     if len(again):
         short = vec.take(new_steps, again)
         short = vec.scale(short, free / vec.length(short))
@@ -182,7 +182,7 @@ def _turn_aside(
         component[hit_rows] = value
 
 
-def _ahead(
+def _find_hits(
     scene: RayScene, place: Vector, step: Vector, margin: NDArray[np.float32], threads: int
 ) -> tuple[NDArray[np.intp], NDArray[np.float32], Vector]:
     """Which agents meet a face on their step, how much of the step (mm) is free, and the face's normal."""
@@ -190,14 +190,14 @@ def _ahead(
     going = np.flatnonzero(size > _LEAST)
     size, margin = size[going], margin[going]
     direction = vec.scale(vec.take(step, going), _F(1) / size)
-    hits = scene.feelers(*vec.take(place, going), *direction, size + margin, threads=threads)
+    hits = scene.cast_feelers(*vec.take(place, going), *direction, size + margin, threads=threads)
     hit_rows = np.flatnonzero(hits.hit)
     free = np.clip(hits.t[hit_rows] - margin[hit_rows], _F(0), size[hit_rows])
     return going[hit_rows], free, (hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows])
 
 
 @kernel
-def same(one: VectorColumns, other: VectorColumns, begin: I64, end: I64) -> BOOL:
+def is_unchanged(one: VectorColumns, other: VectorColumns, begin: I64, end: I64) -> BOOL:
     """Whether vectors from `begin` to before `end` are all equal, none of them NaN."""
     is_same = True
     for i in range(begin, end):
@@ -241,7 +241,7 @@ def _keep_margin(
     return step, size, size > _LEAST and clear <= (size + margin) * _WIDER + _SLACK
 
 
-class Touching(NamedTuple):
+class TouchCounts(NamedTuple):
     """`begin`; the number of agents that may touch an obstacle on their step; how many of these hit it on the step that keeps the
     margin; for how many the grid gives no answer."""
 
@@ -252,7 +252,7 @@ class Touching(NamedTuple):
 
 
 @kernel
-def along(
+def bend_steps(
     grid: Grid,
     place: VectorColumns,
     step: VectorColumns,
@@ -265,7 +265,7 @@ def along(
     hits: Array2[F32],
     begin: I64,
     end: I64,
-) -> Touching:
+) -> TouchCounts:
     """Find agents from `begin` to before `end` that may touch an obstacle on their step, that is, closer than `clear`. Agents
     outside with their nearest face beyond their range are left out: their steps stay. From index `begin` on, writes their `rows`,
     and into `columns` [10, n] position, deflected step, `up` of the ground (3, n) and margin. `hit_rows`: those that hit a face;
@@ -282,13 +282,13 @@ def along(
         high = min(low + AHEAD, asking)
         for n in range(low, high):
             i = rows[n]
-            fetch_around(grid, (place[0][i], place[1][i], place[2][i]), cubes, n - low)
-        fetch_lists(grid, cubes, 9 * (high - low))
+            prefetch_around(grid, (place[0][i], place[1][i], place[2][i]), cubes, n - low)
+        prefetch_lists(grid, cubes, 9 * (high - low))
         for n in range(low, high):
             i = rows[n]
             size, margin, _ = _measure_step(step, radius, clear, i)
             at, above = (place[0][i], place[1][i], place[2][i]), (up[0, i], up[1, i], up[2, i])
-            gap, out = way_out(grid, at, np.float64((size + margin) * _WIDER + _SLACK) * _LOOKS)
+            gap, out = signed_distance(grid, at, np.float64((size + margin) * _WIDER + _SLACK) * _LOOKS)
             if gap == _FAR:
                 continue
             left += 1 if gap != gap else 0
@@ -300,7 +300,7 @@ def along(
             for axis in range(3):
                 columns[axis, k], columns[3 + axis, k], columns[6 + axis, k] = at[axis], new_step[axis], above[axis]
             if may_touch:
-                normal, face = feel(grid, at, times(new_step, _ONE / size), size + margin)
+                normal, face = cast_feeler(grid, at, times(new_step, _ONE / size), size + margin)
                 left += 1 if face == FURTHER else 0
                 if face >= 0:
                     h = begin + hit
@@ -315,11 +315,11 @@ def along(
                     )
                     hit += 1
             count += 1
-    return Touching(begin, count, hit, left)
+    return TouchCounts(begin, count, hit, left)
 
 
 @kernel
-def put(step: VectorColumns, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> None:
+def replace_rows(step: VectorColumns, rows: Array1[I64], own: Strided2[F32], to: Array2[F32]) -> None:
     """Write the steps to `to` (3, n): for some rows their `own` (3, k)."""
     for i in independent(0, step[0].size):
         to[0, i], to[1, i], to[2, i] = step[0][i], step[1][i], step[2][i]
@@ -328,7 +328,7 @@ def put(step: VectorColumns, rows: Array1[I64], own: Strided2[F32], to: Array2[F
 
 
 @kernel
-def touching(
+def select_touching(
     place: VectorColumns,
     step: VectorColumns,
     radius: Array1[F32],
@@ -385,7 +385,9 @@ def keep_margins(
 
 
 @kernel
-def slowed(intended_step: VectorColumns, step: VectorColumns, velocity: VectorColumns, rate: F32, begin: I64, end: I64) -> None:
+def slow_velocities(
+    intended_step: VectorColumns, step: VectorColumns, velocity: VectorColumns, rate: F32, begin: I64, end: I64
+) -> None:
     """Set the velocities of agents from `begin` to before `end` with steps other than `intended_step` to `rate` times their
     steps."""
     for i in independent(begin, end):
@@ -395,7 +397,7 @@ def slowed(intended_step: VectorColumns, step: VectorColumns, velocity: VectorCo
 
 
 @kernel
-def strayed(
+def measure_drift(
     rows: Array1[I64],
     place: VectorColumns,
     start: VectorColumns,

@@ -24,7 +24,7 @@ _NEAR = 0.984807753012208
 _FAR = 0.7071067811865476  # cosine of 45 degrees: the same of what two probes say
 
 
-def orient(
+def orient_bodies(
     world: World, population: Population, previous_velocity: Vector, previous_up: Vector, normal: NDArray[np.float32]
 ) -> None:
     """Orient bodies as the scene requests, starting from their orientation on the ground's normal; changes up and heading.
@@ -39,13 +39,13 @@ def orient(
     # laid over as the way up is turned, by the least turn (O. Rodrigues, 1840)
     axis, cosine = stacked_cross(ground, up), dot(ground, up)
     turned = heading * cosine + stacked_cross(axis, heading) + axis * (dot(axis, heading) / (1.0 + cosine))
-    turned = _unit(turned - up * dot(turned, up), heading)
+    turned = _normalise_or(turned - up * dot(turned, up), heading)
     for name, value in (("up", up), ("heading", turned)):
         for component, register in zip(value, AXES, strict=True):
             population.now[f"{name}.{register}"][:] = component
 
 
-def _by_turns(
+def _up_from_turns(
     world: World,
     population: Population,
     previous_velocity: Floats,
@@ -57,25 +57,25 @@ def _by_turns(
     agree and where an animal stands. So it is where the ground curves by more than a tenth of the angle between the directions.
     The result is at most 10 degrees from the ground's normal."""
     zero = np.zeros_like(previous_velocity)
-    one, other = _unit(previous_velocity, zero), _unit(population.vector("velocity").T, zero)
+    one, other = _normalise_or(previous_velocity, zero), _normalise_or(population.vector("velocity").T, zero)
     across = stacked_cross(one, other)
     sine = np.sqrt(dot(across, across))
     bend = normal.T.astype(np.float64) - ground
     plain = (sine >= _TURNED) & (np.sqrt(dot(bend, bend)) <= _BEND_SHARE * sine)
-    up = _unit(across, ground)
+    up = _normalise_or(across, ground)
     up = np.where(dot(up, ground) < 0, -up, up)  # which way round it turned tells nothing of which side it stands on
     up = np.where(plain & (dot(up, ground) >= _NEAR), up, previous_up.astype(np.float64))
-    return _within(up, ground)
+    return _limit_tilt(up, ground)
 
 
-def _within(up: Floats, ground: Floats) -> Floats:
+def _limit_tilt(up: Floats, ground: Floats) -> Floats:
     """Return up vectors (3, n), limited to 10 degrees from the ground's normals, in the plane of both."""
-    aside = _unit(up - ground * dot(up, ground), np.zeros_like(up))
+    aside = _normalise_or(up - ground * dot(up, ground), np.zeros_like(up))
     most = ground * _NEAR + aside * np.sqrt(1.0 - _NEAR * _NEAR)
-    return np.where(dot(up, ground) < _NEAR, _unit(most, ground), up)
+    return np.where(dot(up, ground) < _NEAR, _normalise_or(most, ground), up)
 
 
-def _by_probes(
+def _up_from_probes(
     world: World,
     population: Population,
     previous_velocity: Floats,
@@ -96,15 +96,15 @@ def _by_probes(
     up = stacked_cross(displacements[0], displacements[1])
     size = np.sqrt(dot(up, up))
     sound = (size > 0.1 * reach * reach) & (reach > 0)
-    up = np.where(sound, _unit(up, ground), ground)
+    up = np.where(sound, _normalise_or(up, ground), ground)
     return np.where(dot(up, ground) < _FAR, ground, up)
 
 
-def _unit(v: Floats, otherwise: Floats) -> Floats:
+def _normalise_or(v: Floats, otherwise: Floats) -> Floats:
     """Normalize vectors (3, n); return `otherwise` where there is no direction."""
     size = np.sqrt(dot(v, v))
     good = size > 1e-12
     return np.where(good, v / np.where(good, size, 1.0), otherwise)
 
 
-_METHODS: dict[str, Callable[..., Floats]] = {"turns": _by_turns, "probes": _by_probes}
+_METHODS: dict[str, Callable[..., Floats]] = {"turns": _up_from_turns, "probes": _up_from_probes}

@@ -57,7 +57,7 @@ def find_walls(
     meshes = world.ground.meshes
     if meshes is None:
         return _NO_WALLS
-    rows = meshes.rising(population.footing, population.position, reach, world.options.threads)
+    rows = meshes.rows_near_rises(population.footing, population.position, reach, world.options.threads)
     if not len(rows):
         return _NO_WALLS
     now, most = population.now, max(_FEW, 1 << len(rows).bit_length())  # the same memory while about as many look out
@@ -65,29 +65,29 @@ def find_walls(
     halves, sizes = population.get_buffers("sizes", 2, (2 * most,), np.float64)
     ahead, normal, origin, ray = population.get_buffers("ways", 4, (3, 2 * most), np.float64)
     looks = (which, halves, sizes, ahead, normal)
-    face, heading = vec.named(now, "~face") if FACE in now else step, vec.named(now, "heading")
+    face, heading = vec.vector_registers(now, "~face") if FACE in now else step, vec.vector_registers(now, "heading")
     directions = Directions(heading, looking, state, step, FACE in now, face)
-    count = look(rows, now["size"], population.position, population.normal, directions, looks, origin, ray)
-    hit, part, wall = meshes.faced(origin[:, :count].T, ray[:, :count].T, world.options.threads)
+    count = fill_looks(rows, now["size"], population.position, population.normal, directions, looks, origin, ray)
+    hit, part, wall = meshes.trace_normals(origin[:, :count].T, ray[:, :count].T, world.options.threads)
     if not len(hit):
         return _NO_WALLS
     lengths, wall_normals, along = np.empty((4, len(hit))), *np.empty((2, 3, len(hit)))
-    count = walls(len(rows), looks, hit, part, wall, wall_normals, along, *lengths, state)
+    count = fill_walls(len(rows), looks, hit, part, wall, wall_normals, along, *lengths, state)
     return Walls(wall_normals[:, :count], along[:, :count], *lengths[:, :count])
 
 
 @inlined
-def half_of(size: F32) -> F64:
+def half_size(size: F32) -> F64:
     """Return half of a body's size (mm), 0 for a size that is not a valid number."""
     long = np.float64(_F(0) if size <= 0 else size)
     return long / 2 if np.isfinite(long) else 0.0
 
 
 @kernel
-def reaches(size: Array1[F32], reach: Array1[F64]) -> None:
+def fill_reach(size: Array1[F32], reach: Array1[F64]) -> None:
     """Write how far (mm) ahead bodies of sizes (mm) search for walls."""
     for i in independent(0, size.size):
-        reach[i] = WIDEST * half_of(size[i])
+        reach[i] = WIDEST * half_size(size[i])
 
 
 class Directions(NamedTuple):
@@ -103,7 +103,7 @@ class Directions(NamedTuple):
 
 
 @kernel
-def look(
+def fill_looks(
     rows: Array1[I64],
     size: Array1[F32],
     position: Strided2[F64],
@@ -122,7 +122,7 @@ def look(
     heading, looking, state, step, faces, face = directions
     count = rows.size
     for k in range(rows.size):
-        i, half = rows[k], half_of(size[rows[k]])
+        i, half = rows[k], half_size(size[rows[k]])
         if state[i] == STANDS:
             looking[0][i], looking[1][i], looking[2][i] = heading[0][i], heading[1][i], heading[2][i]
         up = (np.float64(normal[i, 0]), np.float64(normal[i, 1]), np.float64(normal[i, 2]))
@@ -157,7 +157,7 @@ def look(
 
 
 @kernel
-def walls(
+def fill_walls(
     first: I64,
     looks: Looks,
     hit: Array1[I64],

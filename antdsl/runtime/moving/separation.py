@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, Array3, Strided2, called, independent, inlined, kernel
-from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, put, times
-from antdsl.numerics.sorting import listed
-from antdsl.runtime.moving.capsule_distances import Bodies, measured_some
-from antdsl.runtime.moving.cutting import add, negative
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, put_vector, times
+from antdsl.numerics.sorting import compact_indices
+from antdsl.runtime.moving.capsule_distances import Bodies, measure_listed
+from antdsl.runtime.moving.cutting import add_rounded, negate
 
 DEAD = 5e-4  # of the two collision radii: overlaps up to this move no agent, so that resting agents stay at rest
 FINE = 40  # digits of a term in a sum, below the widest overlap
@@ -59,12 +59,12 @@ def arrays(rows: int, pairs: int) -> tuple[NDArray[Any], ...]:
 
 
 @inlined
-def _rounded(term: F64) -> F64:
+def _round_term(term: F64) -> F64:
     return (term + _MAGIC) - _MAGIC
 
 
 @kernel
-def faced(
+def restore_headings(
     rows: Array1[I64],
     stopped: Array1[I64],
     crowd_rows: Array1[I64],
@@ -94,7 +94,7 @@ def faced(
 
 
 @inlined
-def _greatest(numbers: Array1[F64], count: I64) -> F64:
+def _maximum(numbers: Array1[F64], count: I64) -> F64:
     most = numbers[0]
     for k in range(1, count):
         most = max(most, numbers[k])
@@ -102,7 +102,7 @@ def _greatest(numbers: Array1[F64], count: I64) -> F64:
 
 
 @called
-def _share(m: I64, count: I64, buffers: Buffers, light: Array1[F64], heap_share: Array1[F64]) -> None:
+def _share_overlap(m: I64, count: I64, buffers: Buffers, light: Array1[F64], heap_share: Array1[F64]) -> None:
     """Compute the shares of the overlap by which the first and second of each pair move; they add up to 1. The lighter agent
     moves more, and so does the less locked one. Applies to the first `m` pairs of `buffers`, among the first `count` rows.
 
@@ -112,12 +112,12 @@ def _share(m: I64, count: I64, buffers: Buffers, light: Array1[F64], heap_share:
     locked, spread = buffers[2][_LOCKED], buffers[2][_SPREAD]
     numbers, first, second = buffers[5], buffers[7][_FIRST], buffers[7][_SECOND]
     depth = numbers[_DEPTH]
-    deepest = _greatest(depth, m)
+    deepest = _maximum(depth, m)
     for k in range(count):
         locked[k] = 0.0
     for n in range(m):
         if depth[n] > 0:
-            part = _rounded(depth[n] / deepest)
+            part = _round_term(depth[n] / deepest)
             locked[first[n]] += part
             locked[second[n]] += part
     for _ in range(_SPREADS):
@@ -127,9 +127,9 @@ def _share(m: I64, count: I64, buffers: Buffers, light: Array1[F64], heap_share:
             if depth[n] > 0:
                 spread[first[n]] += locked[second[n]]
                 spread[second[n]] += locked[first[n]]
-        highest = _greatest(spread, count)
+        highest = _maximum(spread, count)
         for k in range(count):
-            locked[k] = _rounded(spread[k] / highest)
+            locked[k] = _round_term(spread[k] / highest)
     for n in range(m):
         p, q = first[n], second[n]
         outward = _PRESSED + (_OUTWARD - _PRESSED) * max(heap_share[p], heap_share[q])
@@ -142,7 +142,7 @@ def _share(m: I64, count: I64, buffers: Buffers, light: Array1[F64], heap_share:
 
 
 @inlined
-def _within(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
+def _limit_correction(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
     """Limit a correction: it ends no farther than `limit` from a point. `middle` is the vector from that point to the end of the
     walk."""
     displacement = plus(middle, correction)
@@ -153,7 +153,7 @@ def _within(correction: Vec3, middle: Vec3, limit: F64) -> Vec3:
 
 
 @kernel
-def parted(
+def separate_pairs(
     bodies: Bodies,
     pairs: Pairs,
     stand: Stand,
@@ -174,15 +174,15 @@ def parted(
     number, row_list, changed = buffers[3][_NUMBER], buffers[3][_ROW_LIST], buffers[4]
     chosen, touching, starts, row_pairs = buffers[7][_CHOSEN], buffers[7][_TOUCHING], buffers[8], buffers[9]
     for pair in independent(0, i.size):
-        touching[pair] = 1 if which[pair] and gap[pair] < _dead(radius, i, j, pair) else 0
-    touch = listed(touching, i.size)
+        touching[pair] = 1 if which[pair] and gap[pair] < _dead_gap(radius, i, j, pair) else 0
+    touch = compact_indices(touching, i.size)
     number[:] = _NONE
     changed[:] = False
     alone = looks == 1 and sweeps == 1  # then only agents that touch another are moved
     if touch and not alone and starts[0] < 0:
-        _group(i, j, starts, row_pairs)
+        _group_pairs(i, j, starts, row_pairs)
     for left in range(looks - 1, -1, -1):
-        moved, rows = _look(radius, pairs, touch, stand, displacement, magic, sweeps, slow, alone, buffers)
+        moved, rows = _run_look(radius, pairs, touch, stand, displacement, magic, sweeps, slow, alone, buffers)
         if not moved or not left:
             break
         count, kept_count = 0, 0
@@ -194,7 +194,7 @@ def parted(
                     if i[pair] == row or not changed[i[pair]]:
                         chosen[count] = pair
                         count += 1
-        without = measured_some(bodies, displacement, i, j, gap, direction, chosen, count, lost)
+        without = measure_listed(bodies, displacement, i, j, gap, direction, chosen, count, lost)
         for n in range(touch):
             pair = touching[n]
             touching[kept_count] = pair
@@ -202,7 +202,7 @@ def parted(
         for n in range(count):
             pair = chosen[n]
             which[pair], touching[kept_count] = True, pair
-            kept_count += 1 if gap[pair] < _dead(radius, i, j, pair) else 0
+            kept_count += 1 if gap[pair] < _dead_gap(radius, i, j, pair) else 0
         touch = kept_count
         if without:
             return left, without
@@ -212,13 +212,13 @@ def parted(
 
 
 @inlined
-def _dead(radius: Array1[F64], i: Array1[I64], j: Array1[I64], pair: I64) -> F64:
+def _dead_gap(radius: Array1[F64], i: Array1[I64], j: Array1[I64], pair: I64) -> F64:
     """The gap of a pair below which it counts."""
     return -((radius[i[pair]] + radius[j[pair]]) * DEAD)
 
 
 @called
-def _group(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs: Array1[I64]) -> None:
+def _group_pairs(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs: Array1[I64]) -> None:
     """List the pairs `row_pairs` each row: for row k from `starts[k]` to before `starts[k + 1]`."""
     starts[:] = 0
     for pair in range(i.size):
@@ -235,7 +235,7 @@ def _group(i: Array1[I64], j: Array1[I64], starts: Array1[I64], row_pairs: Array
 
 
 @called
-def _limit(radius: Array1[F64], stand: Stand, row_list: Array1[I64], count: I64, of_rows: Array2[F64]) -> None:
+def _find_limits(radius: Array1[F64], stand: Stand, row_list: Array1[I64], count: I64, of_rows: Array2[F64]) -> None:
     """Compute four values for some rows: mobility, degree of being in a dense cluster, and how far each may get and be pushed."""
     mass, yields, reach, depth, held, _, walked, _ = stand
     light, heap_share, most, push_limit = of_rows[_LIGHT], of_rows[_HEAPED], of_rows[_MOST], of_rows[_PUSH_LIMIT]
@@ -250,7 +250,7 @@ def _limit(radius: Array1[F64], stand: Stand, row_list: Array1[I64], count: I64,
 
 
 @called
-def _look(
+def _run_look(
     radius: Array1[F64],
     pairs: Pairs,
     touch: I64,
@@ -301,11 +301,11 @@ def _look(
                     m += 1
     for n in range(m):
         pair = chosen[n]
-        least[n] = -_dead(radius, i, j, pair)
+        least[n] = -_dead_gap(radius, i, j, pair)
         first[n], second[n] = number[i[pair]], number[j[pair]]
     for k in range(count):
         number[row_list[k]] = _NONE
-    _limit(radius, stand, row_list, count, of_rows)
+    _find_limits(radius, stand, row_list, count, of_rows)
     for n in range(m):
         pair = chosen[n]
         numbers[_DEPTH, n] = -gap[pair] if gap[pair] < -least[n] else 0.0
@@ -315,15 +315,15 @@ def _look(
             along = minus(v, times(up, dot(v, up)))
             side_directions[side, n, 0], side_directions[side, n, 1], side_directions[side, n, 2] = along
             numbers[_LEVEL + side, n] = dot(along, along)
-            v = negative(v)
-    _share(m, count, buffers, light, heap_share)
+            v = negate(v)
+    _share_overlap(m, count, buffers, light, heap_share)
     for side in range(2):
         for n in range(m):
             factor = numbers[_SHARE + side, n] / max(numbers[_LEVEL + side, n], _STEEPEST)
             for axis in range(3):
                 side_directions[side, n, axis] *= factor
     for k in range(count):
-        put(new_displacement, k, of(displacement, row_list[k]))
+        put_vector(new_displacement, k, of(displacement, row_list[k]))
     for _ in range(sweeps):
         for k in range(count):
             sums[0, k], sums[1, k], sums[2, k], weight[k], contacts[k] = 0.0, 0.0, 0.0, 0.0, 0
@@ -339,7 +339,7 @@ def _look(
                 touching = True
                 for side in range(2):
                     k = q if side else p
-                    add(
+                    add_rounded(
                         sums,
                         k,
                         times(
@@ -355,12 +355,12 @@ def _look(
             at = row_list[k]
             part = (1 + (_EAGER - 1) * heap_share[k] if contacts[k] > 1 else 1.0) / max(weight[k], 1.0)
             target = plus(of(new_displacement, k), times(of(sums, k), part))
-            target = _within(target, negative(of(cut, at)), far[k])
-            put(new_displacement, k, _within(target, of(walked, at), most[k]))
+            target = _limit_correction(target, negate(of(cut, at)), far[k])
+            put_vector(new_displacement, k, _limit_correction(target, of(walked, at), most[k]))
     moved = False
     for k in range(count):
         for axis in range(3):
             changed[row_list[k]] |= new_displacement[axis, k] != displacement[axis, row_list[k]]
         moved |= changed[row_list[k]]
-        put(displacement, row_list[k], of(new_displacement, k))
+        put_vector(displacement, row_list[k], of(new_displacement, k))
     return moved, count

@@ -1,5 +1,5 @@
-"""A substep of a crowd in two loops over all agents. `set_out` does everything before obstacles and walls. Then one loop for each
-kind of ground walks agents and updates them at their new positions."""
+"""A substep of a crowd in two loops over all agents. `prepare_steps` does everything before obstacles and walls. Then one loop
+for each kind of ground walks agents and updates them at their new positions."""
 
 from __future__ import annotations
 
@@ -7,10 +7,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from antdsl.ground.mesh.stretches import finish
-from antdsl.ground.mesh.walk import ENDS, LEFT_OUT, ROWS_AHEAD, WAITS, bring_near, counted, keep, put_down, walked  # fmt: skip
+from antdsl.ground.mesh.stretches import final_pose
+from antdsl.ground.mesh.walk import (  # fmt: skip
+    ENDS,
+    LEFT_OUT,
+    ROWS_AHEAD,
+    WAITS,
+    compact_waiting,
+    prefetch_faces,
+    store_footing,
+    store_waiting,
+    walk_agent,
+)
 from antdsl.ground.mesh.walkers import Clearances, Placed, Surface
-from antdsl.ground.plane import straight
+from antdsl.ground.plane import walk_straight
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,
@@ -27,9 +37,9 @@ from antdsl.machine_code.kernels import (
     three,
 )  # fmt: skip
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
-from antdsl.runtime.moving.rises import WIDEST, half_of
+from antdsl.runtime.moving.rises import WIDEST, half_size
 from antdsl.runtime.moving.tilting import begin_stance
-from antdsl.runtime.moving.velocities import STANDS, Abilities, Arrival, Drive, PushTimes, arrived, pushed
+from antdsl.runtime.moving.velocities import STANDS, Abilities, Arrival, Drives, PushTimes, apply_push, arrive_agent
 
 _F = np.float32
 _ZERO = _F(0)
@@ -58,8 +68,8 @@ class Held(NamedTuple):
 
 
 @kernel
-def set_out(
-    drive: Drive,
+def prepare_steps(
+    drive: Drives,
     abilities: Abilities,
     keeps: BOOL,
     min_speed: Array1[F32],
@@ -77,7 +87,7 @@ def set_out(
     to, step, looking, long, most, reach, state = outset
     for i in independent(begin, end):
         u = three(normal, i)
-        v = pushed(drive, u, abilities, keeps, min_speed, times_of, i)
+        v = apply_push(drive, u, abilities, keeps, min_speed, times_of, i)
         if quarantined[i]:
             v = (_ZERO, _ZERO, _ZERO)
         displacement = times(v, dt)
@@ -85,7 +95,7 @@ def set_out(
             to[k][i], step[k][i] = v[k], displacement[k]
         long[i] = np.sqrt(dot(displacement, displacement))
         begin_stance(i, up, heading, normal, max_speed, size, max_turn, dt, most, looking, state)
-        reach[i] = WIDEST * half_of(size[i])
+        reach[i] = WIDEST * half_size(size[i])
     longest, greatest = _ZERO, _F(-np.inf)
     for i in range(begin, end):
         longest = long[i] if long[i] > longest and np.isfinite(long[i]) else longest
@@ -94,7 +104,7 @@ def set_out(
 
 
 @inlined
-def _ahead(heading: VectorColumns, looking: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
+def _level_heading(heading: VectorColumns, looking: VectorColumns, state: Array1[I32], i: I64) -> Vec3:
     """The heading along the ground, in float64."""
     if state[i] == STANDS:
         return np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
@@ -102,7 +112,7 @@ def _ahead(heading: VectorColumns, looking: VectorColumns, state: Array1[I32], i
 
 
 @kernel
-def stride(
+def walk_triangles(
     surface: Surface,
     near: Clearances,
     at: Placed,
@@ -136,7 +146,7 @@ def stride(
             fetch_ahead(each, 3 * k + 16)
         for each in (mesh, face):
             fetch_ahead(each, k + 64)
-        bring_near(surface, mesh, face, max(group + 8 * ROWS_AHEAD, begin), min(group + 8 * ROWS_AHEAD + 8, end))
+        prefetch_faces(surface, mesh, face, max(group + 8 * ROWS_AHEAD, begin), min(group + 8 * ROWS_AHEAD + 8, end))
         for i in independent(max(group, begin), min(group + 8, end)):
             how[i] = LEFT_OUT
             if mesh[i] < 0 or face[i] < 0:
@@ -146,34 +156,34 @@ def stride(
                 continue
             x, y, z = three(normal, i)
             up = (np.float64(x), np.float64(y), np.float64(z))
-            long, look = np.float64(size[i]), _ahead(heading, looking, state, i)
+            long, look = np.float64(size[i]), _level_heading(heading, looking, state, i)
             f, weights = first[mesh[i]] + face[i], (b1s[i], b2s[i])
-            walk = walked(surface, near, True, f, weights, overs[i], long, displacement, look, up)
+            walk = walk_agent(surface, near, True, f, weights, overs[i], long, displacement, look, up)
             if walk.stop.event:
                 how[i] = WAITS
-                keep(held.reals, held.wholes, i, np.float64(size[i]), walk)
+                store_waiting(held.reals, held.wholes, i, np.float64(size[i]), walk)
                 continue
             how[i] = ENDS
             # No edge leads to another mesh.
-            put_down(placed, i, mesh[i], walk.walker.face - first[mesh[i]], walk.over, walk.walker)
-            pose = finish(surface.table, walk.walker, walk.over)
+            store_footing(placed, i, mesh[i], walk.walker.face - first[mesh[i]], walk.over, walk.walker)
+            pose = final_pose(surface.table, walk.walker, walk.over)
             for k in range(3):
                 place[k, i] = pose.place[k]
-            arrived(i, pose, walk.stop.hops > 0, arrival)
-    waiting, left = counted(how, held.reals, held.wholes, begin, end)
+            arrive_agent(i, pose, walk.stop.hops > 0, arrival)
+    waiting, left = compact_waiting(how, held.reals, held.wholes, begin, end)
     return begin, waiting, left
 
 
 @kernel
-def glide(plane: Array1[F64], looking: VectorColumns, arrival: Arrival, place: Array2[F64], begin: I64, end: I64) -> None:
+def walk_plane(plane: Array1[F64], looking: VectorColumns, arrival: Arrival, place: Array2[F64], begin: I64, end: I64) -> None:
     """Walk agents from `begin` to before `end` perpendicular to the unit vector `plane` to points `place` (n, 3), and update them
     as by `arrive`."""
     at, step, heading, state = arrival.old, arrival.step, arrival.registers.heading, arrival.bodies.state
     up = (plane[0], plane[1], plane[2])
     for i in independent(begin, end):
         displacement = (np.float64(step[0][i]), np.float64(step[1][i]), np.float64(step[2][i]))
-        look = _ahead(heading, looking, state, i)
-        pose, _ = straight(up, (at[i, 0], at[i, 1], at[i, 2]), displacement, look)
+        look = _level_heading(heading, looking, state, i)
+        pose, _ = walk_straight(up, (at[i, 0], at[i, 1], at[i, 2]), displacement, look)
         for k in range(3):
             place[i, k] = pose.place[k]
-        arrived(i, pose, False, arrival)
+        arrive_agent(i, pose, False, arrival)

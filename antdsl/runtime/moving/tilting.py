@@ -40,13 +40,13 @@ from antdsl.numerics.kernel_vectors import (
     dot,
     minus,
     plus,
-    rotated,
+    rotate_about_axis,
     row64,
     times,
     unit,
 )  # fmt: skip
 from antdsl.numerics.vectors import Vector
-from antdsl.runtime.moving.rises import find_walls, reaches
+from antdsl.runtime.moving.rises import fill_reach, find_walls
 from antdsl.runtime.moving.velocities import LEANS, STANDS
 from antdsl.runtime.world import Population, World
 
@@ -62,17 +62,19 @@ _STEEP = 0.9  # as `vectors.across`
 _WAITING = _F(0.05)  # of a velocity: retained by an agent that waits for its body
 
 
-def settle(world: World, population: Population, rows: NDArray[np.intp]) -> None:
+def settle_bodies(world: World, population: Population, rows: NDArray[np.intp]) -> None:
     """Tilt new bodies at once as far as the rises ahead require, so that their heads are free."""
     n, now = len(population), population.now
     state, reach, rest = np.full(n, STANDS, np.int32), np.empty(n), np.zeros(n, np.float32)
     x, y, z = np.empty((3, n), np.float32)
-    reaches(now["size"], reach)
+    fill_reach(now["size"], reach)
     *walls, _ = find_walls(world, population, (x, y, z), (rest, rest, rest), reach, state)
-    settled(rows, state, population.normal, (x, y, z), tuple(walls), *_registers(population.start), *_registers(now))
+    settle_rows(
+        rows, state, population.normal, (x, y, z), tuple(walls), *_pose_registers(population.start), *_pose_registers(now)
+    )
 
 
-def lay(population: Population, threads: int = 1) -> None:
+def lay_headings(population: Population, threads: int = 1) -> None:
     """Show programs the heading and up of the feet, along the ground, during a step. So a push ahead continues over an edge while
     the body tilts."""
     n, start, now = len(population), population.start, population.now
@@ -80,30 +82,30 @@ def lay(population: Population, threads: int = 1) -> None:
         population.get_buffers("leaning", 1, (n,), np.int64),
         population.get_buffers("laid", 3, (3, n), np.float32),
     )
-    work = partial(_lay, population.normal, *_registers(start), *_registers(now), leaning_rows, *lean)
+    work = partial(_lay_rows, population.normal, *_pose_registers(start), *_pose_registers(now), leaning_rows, *lean)
     parts = parallel.in_parts(work, n, threads)
-    population.laid = tuple(parallel.joined(parts, leaning_rows, *lean)) if any([count for _, count in parts]) else None
+    population.laid = tuple(parallel.join_parts(parts, leaning_rows, *lean)) if any([count for _, count in parts]) else None
 
 
-def stand_up(population: Population) -> None:
-    """Restore the up and heading that `lay` replaced. An agent that got a new heading in between keeps it."""
+def restore_bodies(population: Population) -> None:
+    """Restore the up and heading that `lay_headings` replaced. An agent that got a new heading in between keeps it."""
     if population.laid is not None:
-        _stand_up(*population.laid, *_registers(population.start), *_registers(population.now))
+        _restore_rows(*population.laid, *_pose_registers(population.start), *_pose_registers(population.now))
     population.laid = None
 
 
-def _registers(values: dict[str, NDArray[Any]]) -> tuple[Vector, Vector]:
-    return vec.named(values, "up"), vec.named(values, "heading")
+def _pose_registers(values: dict[str, NDArray[Any]]) -> tuple[Vector, Vector]:
+    return vec.vector_registers(values, "up"), vec.vector_registers(values, "heading")
 
 
 @inlined
-def _of(vectors: VectorColumns, i: I64) -> Vec3:
+def _read_vector(vectors: VectorColumns, i: I64) -> Vec3:
     """One of vectors (3, n), in float64."""
     return np.float64(vectors[0][i]), np.float64(vectors[1][i]), np.float64(vectors[2][i])
 
 
 @inlined
-def _across(v: Vec3, up: Vec3) -> Vec3:
+def _perpendicular(v: Vec3, up: Vec3) -> Vec3:
     """Return a unit vector perpendicular to `up`, as near to v as possible; an arbitrary one if v has no direction."""
     flat = minus(v, times(up, dot(v, up)))
     size = np.sqrt(dot(flat, flat))
@@ -115,7 +117,7 @@ def _across(v: Vec3, up: Vec3) -> Vec3:
 
 
 @inlined
-def _leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
+def _is_leaning(up: VectorColumns, normal: Array2[F32], i: I64) -> BOOL:
     x, y, z = three(normal, i)
     return up[0][i] != x or up[1][i] != y or up[2][i] != z
 
@@ -127,7 +129,7 @@ def _maximum(a: F32, b: F32) -> F32:
 
 
 @called
-def _axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
+def _turn_axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
     """Return the axis of the least rotation of one unit vector into another, and the cosine and sine of its angle. Near half a
     turn, where the axis is undefined, the rotation goes over `ahead`."""
     axis, cosine = cross(one, other), min(max(dot(one, other), -1.0), 1.0)
@@ -138,23 +140,23 @@ def _axis(one: Vec3, other: Vec3, ahead: Vec3) -> tuple[Vec3, F64, F64]:
 
 
 @called
-def _laid(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
+def _turn_heading(heading: Vec3, one: Vec3, other: Vec3) -> Vec3:
     """Return a heading perpendicular to one normal, after the rotation that turns this normal into another."""
-    axis, cosine, sine = _axis(one, other, heading)
-    return _across(rotated(heading, axis, cosine, sine), other)
+    axis, cosine, sine = _turn_axis(one, other, heading)
+    return _perpendicular(rotate_about_axis(heading, axis, cosine, sine), other)
 
 
 @inlined
-def _nearer(displacement: Vec3, wall: Vec3, ahead: Vec3) -> F64:
+def _approach(displacement: Vec3, wall: Vec3, ahead: Vec3) -> F64:
     """Return by how much the distance to the wall along `ahead` shrinks after a displacement `displacement`."""
     return dot(displacement, wall) / min(dot(ahead, wall), -1e-3)
 
 
 @called
-def _tilted(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, far: F64, over: F64, displacement: Vec3) -> Vec3:
+def _tilt_up(n: Vec3, wall: Vec3, ahead: Vec3, angle: F64, far: F64, over: F64, displacement: Vec3) -> Vec3:
     """Return the up of a body on ground with a normal, after a displacement `displacement`: this normal, or tilted towards that
     of the wall ahead."""
-    part = min(max(1.0 - (far - _nearer(displacement, wall, ahead)) / over, 0.0), 1.0) * angle
+    part = min(max(1.0 - (far - _approach(displacement, wall, ahead)) / over, 0.0), 1.0) * angle
     axis, cosine = cross(n, wall), dot(n, wall)
     sine = np.sqrt(dot(axis, axis))
     left = np.float64(atan2(_F(sine), _F(cosine)))
@@ -192,14 +194,14 @@ def begin_stance(
     rate = _maximum(rate, _LEAST)
     most[i] = (rate if np.isfinite(rate) else _PI / dt) * dt
     state[i] = STANDS
-    if _leaning(up, normal, i):
+    if _is_leaning(up, normal, i):
         state[i] = LEANS
-        level_heading = _laid(_of(heading, i), _of(up, i), row64(normal, i))
+        level_heading = _turn_heading(_read_vector(heading, i), _read_vector(up, i), row64(normal, i))
         looking[0][i], looking[1][i], looking[2][i] = _F(level_heading[0]), _F(level_heading[1]), _F(level_heading[2])
 
 
 @kernel
-def settled(
+def settle_rows(
     rows: Array1[I64], state: Array1[I32], normal: Array2[F32], looking: VectorColumns, walls: WallArrays,
     start_up: VectorColumns, start_heading: VectorColumns, now_up: VectorColumns, now_heading: VectorColumns,
 ) -> None:  # fmt: skip
@@ -209,8 +211,8 @@ def settled(
         j = state[i]
         if j >= 0:
             ground = row64(normal, i)
-            up = _tilted(ground, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
-            facing = _laid(_of(looking, i), ground, up)
+            up = _tilt_up(ground, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], (0.0, 0.0, 0.0))
+            facing = _turn_heading(_read_vector(looking, i), ground, up)
             for k in range(3):
                 start_up[k][i] = _F(up[k])
                 now_up[k][i] = _F(up[k])
@@ -219,7 +221,7 @@ def settled(
 
 
 @kernel
-def _lay(
+def _lay_rows(
     normal: Array2[F32],
     start_up: VectorColumns,
     start_heading: VectorColumns,
@@ -238,9 +240,9 @@ def _lay(
     heading (3, n) in that order."""
     count = begin
     for i in range(begin, end):
-        if not _leaning(now_up, normal, i):
+        if not _is_leaning(now_up, normal, i):
             continue
-        level_heading = _laid(_of(start_heading, i), _of(start_up, i), row64(normal, i))
+        level_heading = _turn_heading(_read_vector(start_heading, i), _read_vector(start_up, i), row64(normal, i))
         rows[count] = i
         for k in range(3):
             up[k, count], heading[k, count], along[k, count] = start_up[k][i], start_heading[k][i], _F(level_heading[k])
@@ -253,7 +255,7 @@ def _lay(
 
 
 @kernel
-def _stand_up(
+def _restore_rows(
     rows: Array1[I64],
     up: Strided2[F32],
     heading: Strided2[F32],
@@ -276,7 +278,7 @@ def _stand_up(
 
 
 @kernel
-def pace(
+def limit_pace(
     state: Array1[I32],
     step: VectorColumns,
     velocity: VectorColumns,
@@ -295,14 +297,14 @@ def pace(
         j = state[i]
         if j == STANDS:
             continue
-        own_step, stands = _of(step, i), _of(up, i)
+        own_step, stands = _read_vector(step, i), _read_vector(up, i)
         size = np.sqrt(dot(own_step, own_step))
         target_up = row64(normal, i)
         limit = np.inf
         if j >= 0:
             w, a = column64(wall, j), column64(ahead, j)
-            target_up = _tilted(target_up, w, a, angle[j], far[j], over[j], zero)
-            towards = _nearer(divide(own_step, max(size, 1e-300)), w, a)
+            target_up = _tilt_up(target_up, w, a, angle[j], far[j], over[j], zero)
+            towards = _approach(divide(own_step, max(size, 1e-300)), w, a)
             across = cross(stands, w)
             left = np.float64(atan2(_F(np.sqrt(dot(across, across))), _F(dot(stands, w))))
             tilt = angle[j] - left + np.float64(most[i])
@@ -333,7 +335,7 @@ class TurnLimits(NamedTuple):
 
 
 @kernel
-def follow(
+def follow_ground(
     state: Array1[I32],
     previous: Posture,
     place: Strided2[F64],
@@ -360,9 +362,9 @@ def follow(
     for k in independent(begin, count):
         i = rows[k]
         j = state[i]
-        stands = _of(before_up, i)
-        look = _across(_of(before_heading, i), stands)
-        normal, looking = _of(now_up, i), _of(now_heading, i)
+        stands = _read_vector(before_up, i)
+        look = _perpendicular(_read_vector(before_heading, i), stands)
+        normal, looking = _read_vector(now_up, i), _read_vector(now_heading, i)
         displacement = (
             place[i, 0] - previous_place[i, 0],
             place[i, 1] - previous_place[i, 1],
@@ -370,17 +372,17 @@ def follow(
         )
         target_up = normal
         if j >= 0:
-            target_up = _tilted(normal, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], displacement)
-        axis, cosine, sine = _axis(stands, target_up, look)
+            target_up = _tilt_up(normal, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], displacement)
+        axis, cosine, sine = _turn_axis(stands, target_up, look)
         full_tilt = atan2(_F(sine), _F(cosine))
         if full_tilt <= most[i]:
             tilt, c, s, up = full_tilt, cosine, sine, target_up
         else:
             part = cos_sin(most[i])
             tilt, c, s = most[i], np.float64(part[0]), np.float64(part[1])
-            up = unit(rotated(stands, axis, c, s))
-        one = _across(rotated(look, axis, c, s), up)
-        other = _laid(_laid(looking, normal, target_up), target_up, up)
+            up = unit(rotate_about_axis(stands, axis, c, s))
+        one = _perpendicular(rotate_about_axis(look, axis, c, s), up)
+        other = _turn_heading(_turn_heading(looking, normal, target_up), target_up, up)
         yaw_limit = 4.0
         if np.isfinite(max_turn[i]):
             turn = np.float64(max(max_turn[i], _F(0)) * dt)
@@ -394,7 +396,7 @@ def follow(
             facing = unit(plus(times(one, np.float64(c32)), times(left, np.float64(s32))))
         if j >= 0:
             w, a = column64(wall, j), column64(ahead, j)
-            middle = plus(times(up, 2 * raised * half[j]), times(a, _nearer(displacement, w, a) - far[j]))
+            middle = plus(times(up, 2 * raised * half[j]), times(a, _approach(displacement, w, a) - far[j]))
             with_turn = dot(plus(middle, times(facing, half[j])), w)
             without = dot(plus(middle, times(one, half[j])), w)
             if with_turn < min(without, 0.0):

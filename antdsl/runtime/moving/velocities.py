@@ -39,7 +39,7 @@ def share(dt: np.float32) -> np.float32:
     return _F(1.0 - float(elementary.exp(_F(-float(dt) / _HEADING_TIME))))
 
 
-class Drive(NamedTuple):
+class Drives(NamedTuple):
     """What moves agents: push, velocity, heading and up, and the normal (n, 3) of the ground."""
 
     push: VectorColumns
@@ -111,8 +111,8 @@ class Registers(NamedTuple):
 
 
 class Arrival(NamedTuple):
-    """The input of `arrive`: positions (n, 3), steps and velocities from before the walk, and the arrays for results; for up also
-    `normals` (n, 3)."""
+    """The input of `arrive_rows`: positions (n, 3), steps and velocities from before the walk, and the arrays for results; for up
+    also `normals` (n, 3)."""
 
     old: Strided2[F64]
     step: VectorColumns
@@ -136,8 +136,8 @@ class Walked(NamedTuple):
 
 
 @inlined
-def pushed(
-    drive: Drive, up: Vec3F32, abilities: Abilities, keeps: BOOL, min_speed: Array1[F32], times_of: PushTimes, i: I64
+def apply_push(
+    drive: Drives, up: Vec3F32, abilities: Abilities, keeps: BOOL, min_speed: Array1[F32], times_of: PushTimes, i: I64
 ) -> Vec3F32:
     """Return the velocity of agent i after its push along the ground with normal `up`, within the limits of speed and turn: see
     `strides.set_out`."""
@@ -157,26 +157,26 @@ def pushed(
     v = (v[0] if np.isfinite(v[0]) else _ZERO, v[1] if np.isfinite(v[1]) else _ZERO, v[2] if np.isfinite(v[2]) else _ZERO)
     if keeps:
         least = _minimum(maximum(min_speed[i], _ZERO), maximum(max_speed[i], _ZERO))
-        v = _quickened(v, previous_velocity, flat((heading[0][i], heading[1][i], heading[2][i]), up), least)
+        v = _raise_speed(v, previous_velocity, flat((heading[0][i], heading[1][i], heading[2][i]), up), least)
     if np.isfinite(max_turn[i]):
         most = maximum(max_turn[i], _ZERO) * time
         turn = min(most, _PI)
         both = length(v) * length(previous_velocity)
         if not (dot(v, previous_velocity) > (cos_sin(turn)[0] + _SURELY) * both and both > _TINY):
-            v = _turned(v, previous_velocity, up, most)
+            v = _limit_turn(v, previous_velocity, up, most)
     return v
 
 
 @inlined
-def _quickened(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32, least: F32) -> Vec3F32:
+def _raise_speed(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32, least: F32) -> Vec3F32:
     """Raise a velocity to a least speed. A slower agent continues in its direction `previous_velocity` (from rest: along its
     heading), by as much as is missing. A sideways push turns it; braking never reverses it."""
     square = dot(velocity, velocity)
     if not square < least * least:
         return velocity
-    ahead, good = _unit(previous_velocity)
+    ahead, good = _normalise(previous_velocity)
     if not good:
-        ahead, good = _unit(heading)
+        ahead, good = _normalise(heading)
         if not good:
             ahead = (_ZERO * least, _ZERO * least, _ZERO * least)
     along = dot(velocity, ahead)
@@ -185,21 +185,21 @@ def _quickened(velocity: Vec3F32, previous_velocity: Vec3F32, heading: Vec3F32, 
 
 
 @called
-def _turned(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most: F32) -> Vec3F32:
+def _limit_turn(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most: F32) -> Vec3F32:
     """Return the velocity turned by at most `most` (radians) from the previous one, at its own speed. From rest it may have any
     direction."""
     if not length(previous_velocity) > 0:
         most = _F(4.0)
-    ahead, good = _unit(previous_velocity)
+    ahead, good = _normalise(previous_velocity)
     if not good:
-        ahead, good = _unit(velocity)
+        ahead, good = _normalise(velocity)
         if not good:
-            ahead = _across(up)
-    direction, good = _unit(velocity)
+            ahead = _perpendicular(up)
+    direction, good = _normalise(velocity)
     if not good:
         direction = ahead
     left = cross(up, ahead)
-    side, good = _unit(flat(direction, ahead))
+    side, good = _normalise(flat(direction, ahead))
     if not good:
         side = left
     sine, cosine = length(cross(ahead, direction)), dot(ahead, direction)
@@ -210,8 +210,8 @@ def _turned(velocity: Vec3F32, previous_velocity: Vec3F32, up: Vec3F32, most: F3
 
 
 @inlined
-def arrived(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
-    """Write the position, up, heading and direction of agent i after its walk, in float64: see `arrive`."""
+def arrive_agent(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
+    """Write the position, up, heading and direction of agent i after its walk, in float64: see `arrive_rows`."""
     place, above, ahead, direction = pose
     old, step, velocity, limits, bodies, times_of, facing, registers, normals = arrival
     max_speed, max_turn, response = limits
@@ -237,7 +237,7 @@ def arrived(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
     tilt = _squared_angle(square)
     hasty = tilt > limit
     wish = (face[0][i], face[1][i], face[2][i])
-    h = _faced(h, v, u, faces, wish, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, part)
+    h = _turn_heading(h, v, u, faces, wish, max_speed[i], max_turn[i], response[i] <= at_once, _minimum(tilt, limit), dt, part)
     heading_change, aside = minus(h, previous_heading), minus(cross(u, h), cross(was, previous_heading))
     square = (dot(heading_change, heading_change) + dot(chord, chord) + dot(aside, aside)) * _HALF
     limit = maximum(max_turn[i], _ZERO) * dt * BEYOND
@@ -253,7 +253,7 @@ def arrived(i: I64, pose: Pose, blocked: BOOL, arrival: Arrival) -> None:
 
 
 @kernel
-def arrive(rows: Array1[I64], walked: Walked, arrival: Arrival, begin: I64, end: I64) -> None:
+def arrive_rows(rows: Array1[I64], walked: Walked, arrival: Arrival, begin: I64, end: I64) -> None:
     """Write velocity, heading, position and up of `rows` from `begin` to before `end` after the walk into the registers. Bodies
     get a `state` that says so in two cases. Either their up turns by more than `most` (radians), or they turn by more than
     `BEYOND` times `max_turn` allows. For bodies that do not stand as their feet do, the previous up and heading are stored
@@ -267,7 +267,7 @@ def arrive(rows: Array1[I64], walked: Walked, arrival: Arrival, begin: I64, end:
             (ahead[0, i], ahead[1, i], ahead[2, i]),
             (direction[0, i], direction[1, i], direction[2, i]),
         )
-        arrived(i, pose, blocked[i], arrival)
+        arrive_agent(i, pose, blocked[i], arrival)
 
 
 @inlined
@@ -278,7 +278,7 @@ def _squared_angle(square: F32) -> F32:
 
 
 @inlined
-def _faced(
+def _turn_heading(
     heading: Vec3F32,
     velocity: Vec3F32,
     up: Vec3F32,
@@ -294,26 +294,26 @@ def _faced(
     """Return the heading turned towards the movement or the direction to face: by a `part` of the turn or at once. Together with
     the body's tilt (`tilt`, its squared angle), it turns no faster than max_turn. Beyond a right angle it turns towards its side
     first."""
-    heading, good = _unit(flat(heading, up))
+    heading, good = _normalise(flat(heading, up))
     if not good:
-        heading = _across(up)
-    direction, good = _unit(velocity)
+        heading = _perpendicular(up)
+    direction, good = _normalise(velocity)
     if not good:
         direction = heading
     faced = False
     if faces:
-        facing, good = _unit(wish)
+        facing, good = _normalise(wish)
         along = flat(facing if good else up, up)
         faced = length(along) > LEVEL
-        facing, good = _unit(along)
+        facing, good = _normalise(along)
         if faced and good:
             direction = facing
     if dot(heading, direction) < 0 and not (at_once and not np.isfinite(max_turn)):
         left = cross(up, heading)
-        side, good = _unit(flat(direction, heading))
+        side, good = _normalise(flat(direction, heading))
         if not good:
             side = left
-        direction, good = _unit(flat(side, up))
+        direction, good = _normalise(flat(side, up))
         if not good:
             direction = left
     eager = _minimum(length(velocity) / maximum(max_speed * SLOW, _F(1e-6)), _ONE)
@@ -325,7 +325,7 @@ def _faced(
         most = np.sqrt(maximum(most * most - tilt, _ZERO))
         if size > most:
             change = times(change, most / (size if size > 0 else _ONE))
-    turned, good = _unit(flat(plus(heading, change), up))
+    turned, good = _normalise(flat(plus(heading, change), up))
     if not good:
         return heading
     return turned
@@ -349,7 +349,7 @@ def length(a: Vec3F32) -> F32:
 
 
 @inlined
-def _unit(a: Vec3F32) -> tuple[Vec3F32, BOOL]:
+def _normalise(a: Vec3F32) -> tuple[Vec3F32, BOOL]:
     """Length 1, and whether there is a direction."""
     size = length(a)
     good = size > _TINY and np.isfinite(size)
@@ -357,7 +357,7 @@ def _unit(a: Vec3F32) -> tuple[Vec3F32, BOOL]:
 
 
 @inlined
-def _across(up: Vec3F32) -> Vec3F32:
+def _perpendicular(up: Vec3F32) -> Vec3F32:
     steep = abs(up[0]) > _STEEP
     side = flat((_ZERO if steep else _ONE, _ONE if steep else _ZERO, _ZERO), up)
     return times(side, _ONE / length(side))

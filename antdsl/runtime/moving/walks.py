@@ -15,7 +15,7 @@ Rows = NDArray[np.intp]
 _F = np.float32
 
 
-def walks_of(world: World, population: Population) -> dict[int, WalkData]:
+def walks_by_line(world: World, population: Population) -> dict[int, WalkData]:
     """Return the walks of a species by the number of the crowd's line."""
     walks = {}
     for crowd in world.setting.crowds:  # runs a few times in each step: most scenes guide no agents
@@ -24,26 +24,26 @@ def walks_of(world: World, population: Population) -> dict[int, WalkData]:
     return walks
 
 
-def is_led(world: World, population: Population) -> NDArray[np.bool_]:
+def find_walkers(world: World, population: Population) -> NDArray[np.bool_]:
     """Who walks as the scene says, bool[n]."""
-    is_walker: NDArray[np.bool_] = np.isin(population.now["group"], list(walks_of(world, population)))
+    is_walker: NDArray[np.bool_] = np.isin(population.now["group"], list(walks_by_line(world, population)))
     return is_walker
 
 
-def awake(world: World, population: Population) -> Rows | None:
+def deciding_rows(world: World, population: Population) -> Rows | None:
     """Return the rows of agents that sense and decide for themselves; None for all."""
-    if not walks_of(world, population):
+    if not walks_by_line(world, population):
         return None
-    return np.flatnonzero(~is_led(world, population) & ~population.quarantined)
+    return np.flatnonzero(~find_walkers(world, population) & ~population.quarantined)
 
 
-def set_out(world: World, population: Population, rows: Rows) -> None:
+def start_walks(world: World, population: Population, rows: Rows) -> None:
     """Turn those of `rows` that the scene guides to their direction along the ground, at the scene's speed, which may exceed
     their own."""
     now, start = population.now, population.start
-    for group, walk in walks_of(world, population).items():
+    for group, walk in walks_by_line(world, population).items():
         own = rows[now["group"][rows] == group]
-        up, heading = (vec.take(vec.named(now, name), own) for name in ("up", "heading"))
+        up, heading = (vec.take(vec.vector_registers(now, name), own) for name in ("up", "heading"))
         direction = np.broadcast_to(np.array(walk.direction, np.float32)[:, None], (3, len(own)))
         ahead = vec.unit(
             vec.flat((direction[0], direction[1], direction[2]), up), heading, 1e-3
@@ -58,13 +58,15 @@ def lead_walkers(world: World, population: Population, velocity: Vector, up: Vec
     """Return velocities in which agents guided by the scene continue in their direction, at the scene's speed. They stop after
     the scene's distance since their birth."""
     velocities = velocity
-    for group, walk in walks_of(world, population).items():
+    for group, walk in walks_by_line(world, population).items():
         own = np.flatnonzero(population.now["group"] == group)
         distance = (world.frame - population.born[own]) * (world.dt * walk.speed)
         speed = np.clip((walk.length - distance) / world.dt, 0.0, walk.speed).astype(np.float32)
-        previous_velocity, heading = (vec.take(vec.named(population.now, name), own) for name in ("velocity", "heading"))
+        previous_velocity, heading = (
+            vec.take(vec.vector_registers(population.now, name), own) for name in ("velocity", "heading")
+        )
         above = vec.take(up, own)
-        ahead = vec.unit(vec.flat(previous_velocity, above), vec.unit(vec.flat(heading, above), vec.across(above)))
+        ahead = vec.unit(vec.flat(previous_velocity, above), vec.unit(vec.flat(heading, above), vec.any_perpendicular(above)))
         velocities = vec.copy(velocities)
         for component, value in zip(velocities, vec.scale(ahead, speed), strict=True):
             component[own] = value

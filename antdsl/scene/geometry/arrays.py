@@ -39,13 +39,13 @@ def read_archive(file: IO[bytes], size: int, only: Container[str] | None = None)
     are skipped."""
     try:
         with zipfile.ZipFile(file) as archive:
-            return _members(archive, size, only)
+            return _read_members(archive, size, only)
     # NotImplementedError: zipfile's word for a compression that it does not know
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError) as problem:
         raise ArrayFileError(f"is damaged or no array file ({problem})") from None
 
 
-def _members(archive: zipfile.ZipFile, size: int, only: Container[str] | None) -> dict[str, NDArray[Any]]:
+def _read_members(archive: zipfile.ZipFile, size: int, only: Container[str] | None) -> dict[str, NDArray[Any]]:
     """Return the arrays of an open archive of `size` bytes. Raises ArrayFileError, or an error of zipfile, with the reason."""
     entries = archive.infolist()
     if len(entries) > MEMBERS:

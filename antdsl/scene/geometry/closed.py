@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.numerics import stored_tables
-from antdsl.scene.staging.cached import once_a_mesh
+from antdsl.scene.staging.cached import cached_per_mesh
 
 if TYPE_CHECKING:
     from antdsl.scene.setting import MeshData, SolidData
@@ -23,7 +23,7 @@ Index = NDArray[np.int64]
 _WELD = 16.0  # so that what lies nearer than a millionth of the extent is one place
 
 
-def grained(corners: Floats) -> tuple[Index, int]:
+def to_voxels(corners: Floats) -> tuple[Index, int]:
     """Return corners float64[n,3,3], in voxels, as integers, and how many units a voxel has. Corners nearer than a unit
     coincide."""
     extent = max(float(np.abs(corners).max()), 1.0)
@@ -32,17 +32,17 @@ def grained(corners: Floats) -> tuple[Index, int]:
     return np.round(corners * grain).astype(np.int64), grain
 
 
-def open_edges(corners: Index) -> tuple[int, bool]:
+def count_open_edges(corners: Index) -> tuple[int, bool]:
     """Return how many edges an odd number of triangles share, and whether each edge is traversed equally often in both
     directions.
 
     `corners` (n, 3, 3): corners of triangles as integers; equal positions are one corner."""
-    _, direction, first, count = _edges(corners)
+    _, direction, first, count = _group_edges(corners)
     direction_sums = np.add.reduceat(direction, first) if len(direction) else np.zeros(0)
     return int((count % 2).sum()), not direction_sums.any()
 
 
-def inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
+def count_inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
     """Return how many closed pieces of a mesh face inward, and how many have faces that are oriented unlike their neighbours.
 
     A piece is connected across edges of two faces. A piece that faces inward inside the box of another is a correct hollow of
@@ -51,10 +51,10 @@ def inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
         return 0, 0
     corners = vertices[faces]
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    face, direction, first, count = _edges(grained((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
+    face, direction, first, count = _group_edges(to_voxels((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
     one = first[count == 2]
     odd = direction[one] == direction[one + 1]  # faces that are wound alike pass the edge between them in opposite directions
-    piece = _joined(len(faces), face[one], face[one + 1])
+    piece = _connect_nodes(len(faces), face[one], face[one + 1])
     open_ = np.zeros(len(faces), bool)
     open_[piece[face[np.repeat(count % 2 == 1, count)]]] = True
     mixed = np.zeros(len(faces), bool)
@@ -71,7 +71,7 @@ def inside_out(vertices: Floats, faces: NDArray[np.int32]) -> tuple[int, int]:
     return len(inward) - int(sum(hollow)), int((mixed & ~open_).sum())
 
 
-def _joined(n: int, one: Index, two: Index) -> Index:
+def _connect_nodes(n: int, one: Index, two: Index) -> Index:
     """Return for each of n nodes the least node that edges connect it to (S. Zhang et al., FastSV, SIAM PP 2020)."""
     label = np.arange(n)
     while (is_separate := label[one] != label[two]).any():
@@ -83,7 +83,7 @@ def _joined(n: int, one: Index, two: Index) -> Index:
     return label
 
 
-def _edges(corners: Index) -> tuple[Index, Index, Index, Index]:
+def _group_edges(corners: Index) -> tuple[Index, Index, Index, Index]:
     """Return all sides of triangles, sorted by edge: their triangle and their direction (1 or -1); and for each edge its first
     side and its number of sides."""
     points = corners.reshape(-1, 3)
@@ -103,39 +103,39 @@ def _edges(corners: Index) -> tuple[Index, Index, Index, Index]:
     return face[order], np.where(a < b, 1, -1)[order], first, np.diff(np.append(first, len(order)))
 
 
-@once_a_mesh
-def _sides(mesh: MeshData) -> tuple[int, int]:
-    return inside_out(mesh.vertices, mesh.faces)
+@cached_per_mesh
+def _count_wrong_sides(mesh: MeshData) -> tuple[int, int]:
+    return count_inside_out(mesh.vertices, mesh.faces)
 
 
 def check_sides(staging: Staging, name: str, mesh: MeshData) -> None:
     """Warn of an obstacle with parts that face inward: agents would be held inside instead of outside."""
-    inward, mixed = _sides(mesh)
+    inward, mixed = _count_wrong_sides(mesh)
     if inward or mixed:
         words = f"parts of the obstacle `{name}` look inward" if inward else f"faces of the obstacle `{name}` look either way"
         help = "turn its faces so that all look outward; leave it if it is a room that keeps agents in"
         staging.report.warning("inside-out", words, staging.scene.span("world", name), help)
 
 
-@once_a_mesh
-def border_edges(mesh: MeshData) -> int:
+@cached_per_mesh
+def count_border_edges(mesh: MeshData) -> int:
     """Return how many edges of a mesh belong to exactly one triangle."""
     corners = mesh.vertices[mesh.faces]
-    tables = stored_tables.stored("border edges", len(corners), (corners,), partial(_border_edges, corners))
+    tables = stored_tables.get_or_compute("border edges", len(corners), (corners,), partial(_border_edge_table, corners))
     return int(tables["count"][0])
 
 
-def _border_edges(corners: Floats) -> stored_tables.Tables:
+def _border_edge_table(corners: Floats) -> stored_tables.Tables:
     low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
-    _, _, _, count = _edges(grained((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
+    _, _, _, count = _group_edges(to_voxels((corners - low) * (_WELD / max(float((high - low).max()), 1e-12)))[0])
     return {"count": np.array([(count == 1).sum()], np.int64)}
 
 
-def odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:
+def find_odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple[Index, Floats]:
     """Return the edges (k, 2) that an odd number of faces share, as indices of positions, and the positions (p, 3). Corners
     nearer than about `grain` coincide."""
     corners = vertices[faces].reshape(-1, 3)
-    cells = grained((corners - corners.min(axis=0)).reshape(-1, 3, 3) / grain)[0].reshape(-1, 3)
+    cells = to_voxels((corners - corners.min(axis=0)).reshape(-1, 3, 3) / grain)[0].reshape(-1, 3)
     _, first, name = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     a = name.reshape(-1, 3)
     ends = np.sort(np.stack([a, np.roll(a, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
@@ -143,8 +143,8 @@ def odd_edges(vertices: Floats, faces: NDArray[np.int32], grain: float) -> tuple
     return edges[count % 2 == 1], corners[first]
 
 
-def open_solid_edges(solid: SolidData) -> int:
+def count_open_solid_edges(solid: SolidData) -> int:
     """Return how many edges prevent a solid from having an inside: an odd number of triangles share each."""
     corners = solid.mesh.vertices[solid.mesh.faces]
-    loose, _ = open_edges(grained((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
+    loose, _ = count_open_edges(to_voxels((corners - corners.min(axis=(0, 1))) / solid.voxel)[0])
     return loose

@@ -50,18 +50,18 @@ class Gltf:
 
     def __init__(self, data: bytes, beside: Callable[[str, int], bytes]) -> None:
         """`beside(path, cap)` reads a file in the same folder, of at most `cap` bytes."""
-        text, self._binary = _parts(data)
-        self.tree = _parsed(text)
+        text, self._binary = _split_chunks(data)
+        self.tree = _parse_json(text)
         self._beside = beside
         self._left = limits.BODY_BYTES
         self._buffers: dict[int, bytes] = {}
         self._kept: dict[int, NDArray[Any]] = {}
         self._decoded = 0
         self._tops: dict[str, list[dict[str, Any]]] = {}
-        version = str(self.object(self.tree, "asset").get("version", ""))
+        version = str(self.get_object(self.tree, "asset").get("version", ""))
         if not version.startswith("2."):
             raise GltfError(f"is glTF {version[:10] or 'without a version'}, and 2.0 is read", _EXPORT)
-        for name in map(str, self.listed(self.tree, "extensionsRequired")):
+        for name in map(str, self.get_list(self.tree, "extensionsRequired")):
             if name in _COMPRESSED:
                 raise GltfError(f"is compressed with {_COMPRESSED[name]}, which is not read", "export it without compression")
             if not name.startswith(_HARMLESS):
@@ -69,32 +69,32 @@ class Gltf:
 
     # ---- JSON
 
-    def object(self, holder: dict[str, Any], key: str) -> dict[str, Any]:
+    def get_object(self, holder: dict[str, Any], key: str) -> dict[str, Any]:
         """An object, empty where there is none."""
         value = holder.get(key, {})
         if not isinstance(value, dict):
             raise GltfError(f"has a `{key}` that is no object", _EXPORT)
         return value
 
-    def listed(self, holder: dict[str, Any], key: str) -> list[Any]:
+    def get_list(self, holder: dict[str, Any], key: str) -> list[Any]:
         """A list, empty where there is none."""
         items = holder.get(key, [])
         if not isinstance(items, list):
             raise GltfError(f"has `{key}` that are no list", _EXPORT)
         return items
 
-    def objects(self, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
+    def get_objects(self, holder: dict[str, Any], key: str) -> list[dict[str, Any]]:
         """A list of objects, empty where there is none."""
-        items = self.listed(holder, key)
+        items = self.get_list(holder, key)
         if not all(isinstance(each, dict) for each in items):
             raise GltfError(f"has `{key}` that are no objects", _EXPORT)
         return items
 
-    def index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
+    def get_index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
         """Return an index into `count` things, or None if the key is absent."""
-        return None if key not in holder else self.number_of(holder[key], key, count)
+        return None if key not in holder else self.check_index(holder[key], key, count)
 
-    def number_of(self, value: Any, what: str, count: int) -> int:
+    def check_index(self, value: Any, what: str, count: int) -> int:
         """A number of one of `count` things."""
         if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < count:
             raise GltfError(f"names `{what}` {str(value)[:20]}, of which there are {count:,}", _EXPORT)
@@ -103,10 +103,10 @@ class Gltf:
     def top(self, key: str) -> list[dict[str, Any]]:
         """Return a top-level list of the file, such as `nodes`, checked on first use."""
         if key not in self._tops:
-            self._tops[key] = self.objects(self.tree, key)
+            self._tops[key] = self.get_objects(self.tree, key)
         return self._tops[key]
 
-    def floats(self, holder: dict[str, Any], key: str, otherwise: tuple[float, ...]) -> NDArray[np.float64]:
+    def get_floats(self, holder: dict[str, Any], key: str, otherwise: tuple[float, ...]) -> NDArray[np.float64]:
         """Return as many numbers as `otherwise` has, which is the default for an absent key."""
         numbers = holder.get(key, otherwise)
         right = isinstance(numbers, list | tuple) and len(numbers) == len(otherwise)
@@ -123,19 +123,19 @@ class Gltf:
 
     # ---- arrays
 
-    def accessor(self, number: Any, width: int | None = None) -> NDArray[Any]:
+    def read_accessor(self, number: Any, width: int | None = None) -> NDArray[Any]:
         """Return the values (count, width) of an accessor: float64 for floats and for normalized integers, int64 otherwise."""
         accessors = self.top("accessors")
-        number = self.number_of(number, "accessor", len(accessors))
+        number = self.check_index(number, "accessor", len(accessors))
         if number not in self._kept:
-            self._kept[number] = self._read(accessors[number], number)
+            self._kept[number] = self._accessor_values(accessors[number], number)
         values = self._kept[number]
         if width is not None and values.shape[1] != width:
             raise GltfError(f"has an accessor {number} of {values.shape[1]} numbers where {width} are needed", _EXPORT)
         return values
 
-    def _read(self, accessor: dict[str, Any], number: int) -> NDArray[Any]:
-        kind, width = _COMPONENTS.get(_plain(accessor.get("componentType"))), _WIDTHS.get(str(accessor.get("type")))
+    def _accessor_values(self, accessor: dict[str, Any], number: int) -> NDArray[Any]:
+        kind, width = _COMPONENTS.get(_as_integer(accessor.get("componentType"))), _WIDTHS.get(str(accessor.get("type")))
         count = accessor.get("count")
         if kind is None or width is None or isinstance(count, bool) or not isinstance(count, int) or count < 0:
             raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT)
@@ -146,11 +146,11 @@ class Gltf:
         if width == 16 and np.dtype(kind).itemsize < 4:
             raise GltfError(f"has an accessor {number} of a kind that is not known", _EXPORT)
         if "bufferView" in accessor:
-            raw = self._rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, kind, width)
+            raw = self._read_rows(accessor["bufferView"], accessor.get("byteOffset", 0), count, kind, width)
         else:
             raw = np.zeros((count, width), kind)
         if "sparse" in accessor:
-            raw = self._sparse(self.object(accessor, "sparse"), raw, kind, width)
+            raw = self._apply_sparse(self.get_object(accessor, "sparse"), raw, kind, width)
         if kind == "<f4":
             return to_float64(raw)
         integers = raw.astype(np.int64)
@@ -158,22 +158,24 @@ class Gltf:
             return integers
         return np.maximum(integers / float(np.iinfo(kind).max), -1.0)
 
-    def _sparse(self, sparse: dict[str, Any], raw: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
-        indices, values, count = self.object(sparse, "indices"), self.object(sparse, "values"), sparse.get("count")
-        index_kind = _COMPONENTS.get(_plain(indices.get("componentType")))
+    def _apply_sparse(self, sparse: dict[str, Any], raw: NDArray[Any], kind: str, width: int) -> NDArray[Any]:
+        indices, values, count = self.get_object(sparse, "indices"), self.get_object(sparse, "values"), sparse.get("count")
+        index_kind = _COMPONENTS.get(_as_integer(indices.get("componentType")))
         if index_kind is None or isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= len(raw):
             raise GltfError("has a sparse accessor that is not understood", _EXPORT)
-        rows = self._rows(indices.get("bufferView"), indices.get("byteOffset", 0), count, index_kind, 1)[:, 0].astype(np.int64)
+        rows = self._read_rows(indices.get("bufferView"), indices.get("byteOffset", 0), count, index_kind, 1)[:, 0].astype(
+            np.int64
+        )
         if len(rows) and (rows.min() < 0 or rows.max() >= len(raw)):
             raise GltfError("has a sparse accessor that names values which are not there", _EXPORT)
         dense_values = raw.copy()
-        dense_values[rows] = self._rows(values.get("bufferView"), values.get("byteOffset", 0), count, kind, width)
+        dense_values[rows] = self._read_rows(values.get("bufferView"), values.get("byteOffset", 0), count, kind, width)
         return dense_values
 
-    def _rows(self, view: Any, start: Any, count: int, kind: str, width: int) -> NDArray[Any]:
+    def _read_rows(self, view: Any, start: Any, count: int, kind: str, width: int) -> NDArray[Any]:
         """`count` rows of a buffer view, from byte `start` of it on."""
         views = self.top("bufferViews")
-        buffer_view = views[self.number_of(view, "bufferView", len(views))]
+        buffer_view = views[self.check_index(view, "bufferView", len(views))]
         offset, length, stride = buffer_view.get("byteOffset", 0), buffer_view.get("byteLength"), buffer_view.get("byteStride", 0)
         size = np.dtype(kind).itemsize * width
         for value in (start, offset, length, stride):
@@ -182,7 +184,7 @@ class Gltf:
         stride = stride or size
         if stride < size or (count and start + stride * (count - 1) + size > length):
             raise GltfError(f"has a buffer view of {length:,} bytes, too few for what is in it", "a part of it is missing")
-        data = self._buffer(buffer_view.get("buffer"))
+        data = self._read_buffer(buffer_view.get("buffer"))
         if offset + length > len(data):
             raise GltfError(f"has a buffer of {len(data):,} bytes, too few for what is in it", "a part of it is missing")
         if not count:
@@ -190,18 +192,18 @@ class Gltf:
         raw = np.ndarray((count, width), kind, data, offset + start, (stride, np.dtype(kind).itemsize))
         return np.ascontiguousarray(raw)
 
-    def _buffer(self, number: Any) -> bytes:
+    def _read_buffer(self, number: Any) -> bytes:
         buffers = self.top("buffers")
-        number = self.number_of(number, "buffer", len(buffers))
+        number = self.check_index(number, "buffer", len(buffers))
         if number not in self._buffers:
-            data = self._fetched(buffers[number], number)
+            data = self._fetch_buffer(buffers[number], number)
             self._left -= len(data)
             if self._left < 0:
                 raise GltfError(f"has buffers of more than {limits.BODY_BYTES:,} bytes", code="too-large")
             self._buffers[number] = data
         return self._buffers[number]
 
-    def _fetched(self, buffer: dict[str, Any], number: int) -> bytes:
+    def _fetch_buffer(self, buffer: dict[str, Any], number: int) -> bytes:
         uri = buffer.get("uri")
         if uri is None and number == 0 and self._binary is not None:
             return self._binary
@@ -218,11 +220,11 @@ class Gltf:
         return self._beside(unquote(uri), self._left)
 
 
-def _plain(value: Any) -> int:
+def _as_integer(value: Any) -> int:
     return value if isinstance(value, int) and not isinstance(value, bool) else -1
 
 
-def _parts(data: bytes) -> tuple[bytes, bytes | None]:
+def _split_chunks(data: bytes) -> tuple[bytes, bytes | None]:
     """Return the JSON of a file and, for a .glb, its binary chunk."""
     if data[:4] != b"glTF":
         return data, None
@@ -247,13 +249,13 @@ def _parts(data: bytes) -> tuple[bytes, bytes | None]:
     return chunks[0][1], binary
 
 
-def _parsed(text: bytes) -> dict[str, Any]:
+def _parse_json(text: bytes) -> dict[str, Any]:
     if len(text) > limits.BODY_TEXT_BYTES:
         raise GltfError(
             f"has more than {limits.BODY_TEXT_BYTES:,} bytes of JSON", "write its buffers to a .bin file", "too-large"
         )
     try:
-        document = json.loads(text.decode("utf-8-sig"), parse_constant=_no_number)
+        document = json.loads(text.decode("utf-8-sig"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError):
         raise GltfError("is not glTF: its JSON cannot be read", _EXPORT) from None
     if not isinstance(document, dict):
@@ -261,7 +263,7 @@ def _parsed(text: bytes) -> dict[str, Any]:
     return document
 
 
-def _no_number(word: str) -> float:
+def _refuse_constant(word: str) -> float:
     raise ValueError(word)
 
 
@@ -275,8 +277,8 @@ def node_parents(file: Gltf) -> list[int]:
         raise GltfError(f"has {len(nodes):,} nodes, more than are read", code="too-large")
     parents = [-1] * len(nodes)
     for number, node in enumerate(nodes):
-        for child in file.listed(node, "children"):
-            child = file.number_of(child, "node", len(nodes))
+        for child in file.get_list(node, "children"):
+            child = file.check_index(child, "node", len(nodes))
             if parents[child] >= 0 or child == number:
                 raise GltfError(f"has a node {child} with two parents", _EXPORT, "bad-rig")
             parents[child] = number
@@ -298,8 +300,8 @@ def node_parents(file: Gltf) -> list[int]:
 def scene_roots(file: Gltf) -> list[int]:
     """Return the root nodes of the file's scene; none if it has no scene."""
     nodes, scenes = file.top("nodes"), file.top("scenes")
-    scene = file.index(file.tree, "scene", len(scenes)) or 0
-    return [file.number_of(root, "node", len(nodes)) for root in file.listed(scenes[scene], "nodes")] if scenes else []
+    scene = file.get_index(file.tree, "scene", len(scenes)) or 0
+    return [file.check_index(root, "node", len(nodes)) for root in file.get_list(scenes[scene], "nodes")] if scenes else []
 
 
 def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
@@ -309,7 +311,7 @@ def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
     waiting = list(reversed(list(roots)))
     while waiting:
         ordered_nodes.append(waiting.pop())
-        waiting += reversed(file.listed(nodes[ordered_nodes[-1]], "children"))
+        waiting += reversed(file.get_list(nodes[ordered_nodes[-1]], "children"))
         if ordered_nodes[-1] in visited:
             raise GltfError("has a scene that names a node twice", _EXPORT)
         visited.add(ordered_nodes[-1])
@@ -322,7 +324,7 @@ def nodes_below(file: Gltf, roots: Iterable[int]) -> list[int]:
 def primitive_triangles(file: Gltf, primitive: dict[str, Any], points: int) -> tuple[NDArray[np.int64], int]:
     """Return the triangles (n, 3) of a primitive with `points` points: a list, a strip or a fan. Also return how many corners
     remain at the end, too few for a triangle."""
-    corners = file.accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
+    corners = file.read_accessor(primitive["indices"], 1)[:, 0].astype(np.int64) if "indices" in primitive else np.arange(points)
     mode = primitive.get("mode", TRIANGLES)
     if mode == STRIP:
         triangles = strip_triangles(corners)

@@ -23,7 +23,7 @@ from antdsl.scene.geometry.gltf_file import (
     scene_roots,
 )
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.matrices import applied, compose, determinant, of_parts, still
+from antdsl.scene.geometry.matrices import apply_transforms, compose, determinant, still, transform_of_parts
 from antdsl.scene.geometry.mesh_text import VERTICES, MeshError
 from antdsl.scene.geometry.polygons import PolygonMesh
 
@@ -44,23 +44,23 @@ def read_gltf_mesh(data: bytes, notes: ImportNotes, part: str | None, beside: Be
     notes.form = "binary glTF" if data[:4] == b"glTF" else "glTF"
     try:
         with np.errstate(all="ignore"):
-            return _read(Gltf(data, beside), notes, part)
+            return _read_scene(Gltf(data, beside), notes, part)
     except GltfError as why:
         raise MeshError(str(why), why.help) from None
 
 
-def _read(file: Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
+def _read_scene(file: Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
     nodes, meshes = file.top("nodes"), file.top("meshes")
     parents = node_parents(file)
     roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
     scene_nodes = nodes_below(file, roots)
-    chosen = set(scene_nodes) if part is None else _named(file, scene_nodes, part)
+    chosen = set(scene_nodes) if part is None else _find_named_nodes(file, scene_nodes, part)
     notes.skip("animations", len(file.top("animations")))
     in_scene = set(scene_nodes)
     others = [number for number, node in enumerate(nodes) if "mesh" in node and number not in in_scene]
     if part is None and others:
         notes.skip("nodes with a mesh outside of the scene", len(others))
-    hidden = set(nodes_below(file, _tops([n for n in scene_nodes if _is_hidden(file, nodes[n])], parents)))
+    hidden = set(nodes_below(file, _topmost_nodes([n for n in scene_nodes if _is_hidden(file, nodes[n])], parents)))
     unseen = sum("mesh" in nodes[number] for number in hidden & chosen)
     notes.skip(f"nodes with a mesh that are not visible ({_VISIBILITY})", unseen)
     chosen -= hidden
@@ -72,21 +72,21 @@ def _read(file: Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
         node = nodes[number]
         above = transforms.get(parents[number], still())
         transforms[number] = compose(above, _node_transform(file, node))
-        mesh = file.index(node, "mesh", len(meshes))
+        mesh = file.get_index(node, "mesh", len(meshes))
         if number not in chosen or mesh is None:
             continue
         transform = transforms[number]
         if "skin" in node:  # by the specification the node's own transform does not count
             notes.skip(f"the skin of `{file.name(node, 'a node')}`: its mesh is read as it was modelled")
             transform = still()
-        if _INSTANCES in file.object(node, "extensions"):
+        if _INSTANCES in file.get_object(node, "extensions"):
             notes.skip("instances of a mesh (EXT_mesh_gpu_instancing)")
-        for primitive in file.objects(meshes[mesh], "primitives"):
-            geometry = _primitive(file, primitive, notes)
+        for primitive in file.get_objects(meshes[mesh], "primitives"):
+            geometry = _read_primitive(file, primitive, notes)
             if geometry is None:
                 continue
             own, triangles = geometry
-            points.append(applied(transform, own))
+            points.append(apply_transforms(transform, own))
             faces.append((triangles[:, [0, 2, 1]] if determinant(transform) < 0 else triangles) + count)
             count += len(own)
             if count > VERTICES or sum(map(len, faces)) > limits.MESH_FACES:
@@ -97,10 +97,10 @@ def _read(file: Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
 
 
 def _is_hidden(file: Gltf, node: dict[str, Any]) -> bool:
-    return file.object(file.object(node, "extensions"), _VISIBILITY).get("visible", True) is False
+    return file.get_object(file.get_object(node, "extensions"), _VISIBILITY).get("visible", True) is False
 
 
-def _tops(numbers: list[int], parents: list[int]) -> list[int]:
+def _topmost_nodes(numbers: list[int], parents: list[int]) -> list[int]:
     """Return the nodes that are not descendants of another one in the list."""
     chosen, tops = set(numbers), []
     for number in numbers:
@@ -115,22 +115,22 @@ def _tops(numbers: list[int], parents: list[int]) -> list[int]:
 def _node_transform(file: Gltf, node: dict[str, Any]) -> Floats:
     """Return the transform (3, 4) from a node's space to that of its parent."""
     if "matrix" in node:
-        return file.floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T[:3]
-    return of_parts(
-        file.floats(node, "translation", (0.0, 0.0, 0.0)),
-        file.floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)),
-        file.floats(node, "scale", (1.0, 1.0, 1.0)),
+        return file.get_floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T[:3]
+    return transform_of_parts(
+        file.get_floats(node, "translation", (0.0, 0.0, 0.0)),
+        file.get_floats(node, "rotation", (0.0, 0.0, 0.0, 1.0)),
+        file.get_floats(node, "scale", (1.0, 1.0, 1.0)),
     )
 
 
-def _named(file: Gltf, scene_nodes: list[int], part: str) -> set[int]:
+def _find_named_nodes(file: Gltf, scene_nodes: list[int], part: str) -> set[int]:
     """Return the nodes that have a name, or have a mesh of that name, and all nodes below them."""
     from antdsl.diagnostics.suggestion import nearest_name
 
     nodes, meshes = file.top("nodes"), file.top("meshes")
     names: dict[str, list[int]] = {}
     for number in scene_nodes:
-        mesh = file.index(nodes[number], "mesh", len(meshes))
+        mesh = file.get_index(nodes[number], "mesh", len(meshes))
         of = {file.name(nodes[number], ""), "" if mesh is None else file.name(meshes[mesh], "")}
         for name in of - {""}:
             names.setdefault(name, []).append(number)
@@ -145,21 +145,21 @@ def _named(file: Gltf, scene_nodes: list[int], part: str) -> set[int]:
     return chosen
 
 
-def _primitive(file: Gltf, primitive: dict[str, Any], notes: ImportNotes) -> tuple[Floats, NDArray[np.int64]] | None:
+def _read_primitive(file: Gltf, primitive: dict[str, Any], notes: ImportNotes) -> tuple[Floats, NDArray[np.int64]] | None:
     """Return the points and triangles of a primitive. If it has none that can be read, return None and add a note."""
     mode = primitive.get("mode", TRIANGLES)
     if mode not in (TRIANGLES, STRIP, FAN):
         known = isinstance(mode, int) and not isinstance(mode, bool) and 0 <= mode < len(_MODES)
         notes.skip(f"primitives of {_MODES[mode]}" if known else f"primitives of the unknown mode `{printable(str(mode)[:20])}`")
         return None
-    if _DRACO in file.object(primitive, "extensions"):
+    if _DRACO in file.get_object(primitive, "extensions"):
         raise GltfError("is compressed with Draco, which is not read", "export it without compression")
-    attributes = file.object(primitive, "attributes")
+    attributes = file.get_object(primitive, "attributes")
     if "POSITION" not in attributes:
         notes.skip("primitives without positions")
         return None
-    points = file.accessor(attributes["POSITION"], 3).astype(np.float64)
-    notes.skip("morph targets", len(file.listed(primitive, "targets")))
+    points = file.read_accessor(attributes["POSITION"], 3).astype(np.float64)
+    notes.skip("morph targets", len(file.get_list(primitive, "targets")))
     triangles, over = primitive_triangles(file, primitive, len(points))
     notes.skip("corners of an incomplete triangle", over)
     return points, triangles

@@ -28,12 +28,12 @@ def read_heights(data: bytes, name: str, array: str | None = None, layer: int | 
     Raises MeshError with the reason."""
     kind = name.rsplit(".", 1)[-1].lower() if "." in name else ""
     if kind == "npz":
-        samples = _array(data, array, layer)
+        samples = _read_array(data, array, layer)
     elif kind in IMAGES:
         for key, value in (("array", array), ("layer", layer)):
             if value is not None:
                 raise MeshError("is an image, which has one layer of samples", f"leave `{key}` out")
-        samples = _image(data, IMAGES[kind])
+        samples = _read_image(data, IMAGES[kind])
     else:
         raise MeshError("is not one of " + ", ".join(f".{word}" for word in (*IMAGES, "npz")))
     if not np.isfinite(samples).all():
@@ -41,14 +41,14 @@ def read_heights(data: bytes, name: str, array: str | None = None, layer: int | 
     return samples
 
 
-def _image(data: bytes, form: str) -> Floats:
+def _read_image(data: bytes, form: str) -> Floats:
     from antdsl.reader.image_request import ImageError, read_image_file
 
     try:
         image = read_image_file(data, form, _MODES, 2 * limits.MESH_FACES)
     except ImageError as why:
         raise MeshError(str(why), *([why.help] if why.help else [])) from None
-    _within(image.rows, image.columns)
+    _check_size(image.rows, image.columns)
     if image.pages != 1:
         raise MeshError("has several pages", "save one of them")
     if image.samples is None:
@@ -57,7 +57,7 @@ def _image(data: bytes, form: str) -> Floats:
     return samples if image.mode == "F" else samples / _GREY
 
 
-def _array(data: bytes, array: str | None, layer: int | None) -> Floats:
+def _read_array(data: bytes, array: str | None, layer: int | None) -> Floats:
     try:
         arrays = read_archive(io.BytesIO(data), len(data), None if array is None else {array})
     except ArrayFileError as why:
@@ -80,11 +80,11 @@ def _array(data: bytes, array: str | None, layer: int | None) -> Floats:
         raise MeshError("has one layer of samples", "leave `layer` out")
     if samples.ndim != 2:
         raise MeshError(f"has an array with {samples.ndim} dimensions", "save one with rows and columns")
-    _within(*samples.shape)
+    _check_size(*samples.shape)
     return to_float64(samples)
 
 
-def _within(rows: int, columns: int) -> None:
+def _check_size(rows: int, columns: int) -> None:
     if rows < 2 or columns < 2:
         raise MeshError(f"has {rows} rows and {columns} columns of samples, and two of each are the least")
     if 2 * (rows - 1) * (columns - 1) > limits.MESH_FACES:
@@ -92,7 +92,7 @@ def _within(rows: int, columns: int) -> None:
         raise MeshError(words, "use a smaller one")
 
 
-def surface_of(heights: Floats, extent: tuple[float, float]) -> tuple[Floats, NDArray[np.int64]]:
+def height_surface(heights: Floats, extent: tuple[float, float]) -> tuple[Floats, NDArray[np.int64]]:
     """Return vertices (n, 3) and faces (m, 3) of heights [rows, columns] over an extent in x and z, centred at the origin, y up.
     The front of faces is above.
 
@@ -108,7 +108,7 @@ def surface_of(heights: Floats, extent: tuple[float, float]) -> tuple[Floats, ND
     return vertices.reshape(-1, 3), faces.reshape(-1, 3).astype(np.int64)
 
 
-def deviation(heights: Floats) -> float:
+def surface_deviation(heights: Floats) -> float:
     """Return the largest distance of the triangles from the bilinear surface through the samples: in the middle of a cell, a
     fourth of its twist."""
     twist = heights[:-1, :-1] - heights[:-1, 1:] - heights[1:, :-1] + heights[1:, 1:]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 
 @dataclass(slots=True)
-class Skipped:
+class SkippedElement:
     """Something in a file that is not read: how often, and the line of its first occurrence if the file has lines."""
 
     what: str
@@ -27,7 +27,7 @@ class ImportNotes:
     concave: int = 0
     crossing: int = 0
     crossing_face: int = 0
-    skipped: dict[str, Skipped] = field(default_factory=dict)
+    skipped: dict[str, SkippedElement] = field(default_factory=dict)
 
     def skip(self, what: str, count: int = 1, line: int | None = None) -> None:
         """Count something that is not read."""
@@ -36,10 +36,10 @@ class ImportNotes:
         if what not in self.skipped:
             if len(self.skipped) >= 100:
                 what = "other content"
-            self.skipped.setdefault(what, Skipped(what, 0, line))
+            self.skipped.setdefault(what, SkippedElement(what, 0, line))
         self.skipped[what].count += count
 
-    def skipped_words(self) -> list[str]:
+    def skipped_phrases(self) -> list[str]:
         """Phrases such as `3 × `l` (line 8)`."""
         return [
             (f"{each.count:,} × " if each.count > 1 else "") + each.what + ("" if each.line is None else f" (line {each.line:,})")
@@ -76,28 +76,30 @@ class MeshImport:
 
 def import_lines(mesh_import: MeshImport, units: str) -> Iterator[str]:
     """The report as lines of text."""
-    counts = f"{_count(mesh_import.vertices, 'vertex', 'vertices')}, {_count(mesh_import.triangles, 'triangle')}"
+    counts = f"{_count_phrase(mesh_import.vertices, 'vertex', 'vertices')}, {_count_phrase(mesh_import.triangles, 'triangle')}"
     yield f"{mesh_import.file}, {mesh_import.form}: {counts}"
     size = " × ".join(f"{high - low:.9g}" for low, high in zip(mesh_import.low, mesh_import.high, strict=True))
     low, high = (", ".join(f"{x:.9g}" for x in corner) for corner in (mesh_import.low, mesh_import.high))
     yield f"{size} {units}, from [{low}] to [{high}]"
     changes = [
-        f"{_count(mesh_import.polygons, 'polygon')} triangulated"
+        f"{_count_phrase(mesh_import.polygons, 'polygon')} triangulated"
         + (f", {mesh_import.concave:,} of them concave" if mesh_import.concave else "")
         + (f", {mesh_import.crossing:,} crossing themselves" if mesh_import.crossing else "")
         if mesh_import.polygons
         else "",
-        f"{_count(mesh_import.welded, 'vertex', 'vertices')} welded" if mesh_import.welded else "",
-        f"{_count(mesh_import.dropped, 'degenerate or doubled triangle')} dropped"
-        + (f", {_count(mesh_import.left, 'triangle')} left" if mesh_import.left is not None else "")
+        f"{_count_phrase(mesh_import.welded, 'vertex', 'vertices')} welded" if mesh_import.welded else "",
+        f"{_count_phrase(mesh_import.dropped, 'degenerate or doubled triangle')} dropped"
+        + (f", {_count_phrase(mesh_import.left, 'triangle')} left" if mesh_import.left is not None else "")
         if mesh_import.dropped
         else "",
-        f"open, {_count(mesh_import.border_edges, 'border edge')}" if mesh_import.border_edges else "closed, no border edges",
+        f"open, {_count_phrase(mesh_import.border_edges, 'border edge')}"
+        if mesh_import.border_edges
+        else "closed, no border edges",
     ]
     yield "; ".join(each for each in changes if each)
     if mesh_import.skipped:
         yield f"not read: {', '.join(mesh_import.skipped)}"
 
 
-def _count(number: int, one: str, many: str | None = None) -> str:
+def _count_phrase(number: int, one: str, many: str | None = None) -> str:
     return f"{number:,} {one if number == 1 else many or one + 's'}"

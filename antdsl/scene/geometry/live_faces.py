@@ -71,11 +71,11 @@ def corner_numbers(vertices: Floats, faces: Ints, mesh: Ints, extent: float) -> 
     rows = np.column_stack([owner, place])[order]
     fresh = np.concatenate(([0], np.cumsum((rows[1:] != rows[:-1]).any(axis=1)))) if len(rows) else np.empty(0, np.int64)
     weld = np.empty(len(flat), np.int32)
-    weld[order] = _touching(vertices[flat[order]], owner[order], fresh, grain)
+    weld[order] = _merge_cells(vertices[flat[order]], owner[order], fresh, grain)
     return weld.reshape(-1, 3)
 
 
-def components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
+def component_numbers(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
     """Return the connected component of each of `count` things, which `pairs` (k, 2) connect. Components are numbered from 0, in
     the order of their first members."""
     parent = np.arange(count)
@@ -91,7 +91,7 @@ def components(pairs: NDArray[np.int64], count: int) -> NDArray[np.int32]:
     return numbers
 
 
-def _touching(points: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
+def _merge_cells(points: Floats, owner: Ints, cell: NDArray[np.int64], grain: float) -> NDArray[np.int64]:
     """Return cell numbers in which cells of one owner share a number if they have corners nearer than `grain` across their
     border."""
     begin = np.unique(cell, return_index=True)[1]
@@ -99,5 +99,5 @@ def _touching(points: Floats, owner: Ints, cell: NDArray[np.int64], grain: float
     near = near[owner[begin][near[:, 0]] == owner[begin][near[:, 1]]]
     if not near.size:
         return cell
-    joined: NDArray[np.int64] = components(near, begin.size).astype(np.int64)[cell]
+    joined: NDArray[np.int64] = component_numbers(near, begin.size).astype(np.int64)[cell]
     return joined

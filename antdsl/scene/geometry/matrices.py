@@ -20,7 +20,7 @@ def still(*shape: int) -> Floats:
     return transforms
 
 
-def of_parts(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
+def transform_of_parts(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
     """Return the transform (3, 4) that scales, then rotates by a quaternion x y z w of any length, then shifts."""
     x, y, z, w = rotation / max(float(np.sqrt((rotation * rotation).sum())), 1e-30)
     transform = still()
@@ -36,12 +36,12 @@ def of_parts(translation: Floats, rotation: Floats, scale: Floats) -> Floats:
 
 def compose(outer: Floats, inner: Floats) -> Floats:
     """The inner way first, then the outer."""
-    composed = product(outer[..., :3], inner)
+    composed = matrix_product(outer[..., :3], inner)
     composed[..., 3] += outer[..., 3]
     return composed
 
 
-def product(a: Floats, b: Floats) -> Floats:
+def matrix_product(a: Floats, b: Floats) -> Floats:
     """Of matrices (…, j, 3) and (…, 3, k)."""
     result: Floats = (a[..., 0, None] * b[..., 0:1, :] + a[..., 1, None] * b[..., 1:2, :]) + a[..., 2, None] * b[..., 2:3, :]
     return result
@@ -60,7 +60,7 @@ def determinants(transforms: Floats) -> Floats:
     return result
 
 
-def scale(transform: Floats) -> float:
+def uniform_scale(transform: Floats) -> float:
     """Return the factor of lengths, if it is the same in all directions."""
     with localcontext(prec=40):
         return float(abs(Decimal(determinant(transform))) ** (Decimal(1) / 3)) if determinant(transform) else 0.0
@@ -78,11 +78,11 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
         return float(sums[0]), float(sums[1])
 
 
-def inverse(transforms: Floats) -> Floats:
+def inverses(transforms: Floats) -> Floats:
     """Return the inverses of transforms (…, 3, 4) that have one."""
     a, b, c = (transforms[..., row, :3] for row in range(3))
     turn = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-1) / determinants(transforms)[..., None, None]
-    return np.concatenate([turn, -product(turn, transforms[..., 3:])], axis=-1)
+    return np.concatenate([turn, -matrix_product(turn, transforms[..., 3:])], axis=-1)
 
 
 def has_inverse(transform: Floats) -> bool:
@@ -98,14 +98,14 @@ def have_inverses(transforms: Floats) -> NDArray[np.bool_]:
     return np.asarray(np.isfinite(transforms).all(axis=(-2, -1)) & is_large)
 
 
-def applied(transform: Floats, points: Floats) -> Floats:
+def apply_transforms(transform: Floats, points: Floats) -> Floats:
     """Apply one transform (3, 4) to points (n, 3), or to each its own (n, 3, 4)."""
     x, y, z = (points[:, axis, None] for axis in range(3))
     result: Floats = ((transform[..., 0] * x + transform[..., 1] * y) + transform[..., 2] * z) + transform[..., 3]
     return result
 
 
-def different(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
+def distinct_points(points: Floats) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.int64]]:
     """Return an order by x, y, z of points (n, 3); which points in that order differ from the one before; and for each point the
     index of its distinct point. Zero and minus zero are equal."""
     order = np.lexsort(points.T[::-1])

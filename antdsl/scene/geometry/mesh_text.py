@@ -80,11 +80,11 @@ def plain_text(data: bytes, wavefront: bool = False) -> bytes:
         data = _COMMENT_OR_NAME.sub(rb"\1", data) if wavefront else _ANY_COMMENT.sub(b"", data)
         data = _CLOSE_COMMENT.sub(rb"\1", data) if b"#" in data else data
     if wavefront and b"\\" in data:
-        data = _CONTINUED.sub(_continued, data)
+        data = _CONTINUED.sub(_continuation, data)
     return data
 
 
-def _continued(end: re.Match[bytes]) -> bytes:
+def _continuation(end: re.Match[bytes]) -> bytes:
     """Return the replacement for `\\\\` at the end of a line. In a line with a name, it stays as it is."""
     line = end.string[end.string.rfind(b"\n", 0, end.start()) + 1 : end.start()]
     return end[0] if line.lstrip()[:8].lower().split(None, 1)[:1] in _NAME_WORDS else _BREAK
@@ -122,7 +122,7 @@ class Block:
         """The words of the line at place k."""
         return self.words[self.first[k] : self.first[k] + self.count[k]]
 
-    def letters(self) -> NDArray[np.bytes_]:
+    def line_keywords(self) -> NDArray[np.bytes_]:
         """Return the first word of each line in lower case, limited to 8 letters."""
         start, stop = self.start[self.first], self.end[self.first]
         found = np.zeros((len(self), 8), np.uint8)
@@ -132,7 +132,7 @@ class Block:
         found[(found >= 65) & (found <= 90)] += 32
         return found.view("S8")[:, 0]
 
-    def floats(self, at: Integers, what: str) -> Floats:
+    def read_floats(self, at: Integers, what: str) -> Floats:
         """Return the words at indices `at` as numbers, same shape. Raises MeshError with the line of the first that is not a
         number."""
         flat = at.ravel()
@@ -147,10 +147,10 @@ class Block:
                 raise ValueError  # a number of Python alone
             numbers = np.fromiter(map(float, chosen), np.float64, len(chosen))
         except ValueError:
-            numbers = np.array([self._number(word, int(k), what) for word, k in zip(chosen, flat.tolist(), strict=True)])
+            numbers = np.array([self._read_number(word, int(k), what) for word, k in zip(chosen, flat.tolist(), strict=True)])
         return numbers.reshape(at.shape)
 
-    def _number(self, word: bytes, at: int, what: str) -> float:
+    def _read_number(self, word: bytes, at: int, what: str) -> float:
         try:
             if len(word) > _WORD_BYTES or b"_" in word:
                 raise ValueError
@@ -158,14 +158,14 @@ class Block:
         except ValueError:
             decimal = re.fullmatch(rb"[+-]?[0-9]+,[0-9]+(?:[eE][+-]?[0-9]+)?", word)
             help = f"write decimal points, such as `{display_word(word.replace(b',', b'.'))}`" if decimal else _EXPORT
-            words = f"has in line {self.number_of(at):,} `{display_word(word)}` for {what}, which is not a number"
+            words = f"has in line {self.line_number(at):,} `{display_word(word)}` for {what}, which is not a number"
             raise MeshError(words, help) from None
 
-    def number_of(self, at: int) -> int:
+    def line_number(self, at: int) -> int:
         """The line of a word."""
         return int(self.number[np.searchsorted(self.first, at, side="right") - 1])
 
-    def integers(self, at: Integers, slash: bool = False) -> tuple[Integers, NDArray[np.bool_]]:
+    def read_integers(self, at: Integers, slash: bool = False) -> tuple[Integers, NDArray[np.bool_]]:
         """Return the words at indices `at` as integers, and which of them are integers. With `slash`, only the part before a
         slash counts, as in `1/2/3`."""
         start, end = self.start[at], self.end[at]
@@ -188,7 +188,7 @@ class Block:
         return np.where(negative, -value, value), (length > 0) & (length <= _DIGITS) & is_integer
 
 
-def blocks(text: bytes, number: int = 1) -> Iterator[Block]:
+def read_blocks(text: bytes, number: int = 1) -> Iterator[Block]:
     """Yield the lines of a `plain_text`, the first of which is line `number` of the file. Raises MeshError for a line that is too
     long."""
     at = 0

@@ -22,7 +22,7 @@ from antdsl.scene.geometry.polygons import PolygonMesh, TooManyCorners, triangul
 from antdsl.scene.geometry.stl_file import read_stl
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.setting import MeshData
-from antdsl.scene.staging.cached import once_a_mesh
+from antdsl.scene.staging.cached import cached_per_mesh
 
 Floats = NDArray[np.float64]
 Faces = NDArray[np.int64]
@@ -51,7 +51,7 @@ def read_mesh(data: bytes, name: str, group: str | None = None, beside: Beside |
     `group`: only one group or object of an .obj file, or only what is at and below a node of glTF. `beside(path, cap)` reads a
     file in the same folder."""
     is_cached = len(data) <= _CACHED_BYTES and not name.lower().endswith(".gltf")  # buffers of .gltf files may be in other files
-    return _read(data, name, group) if is_cached else _sound_file(data, name, group, beside)
+    return _read(data, name, group) if is_cached else _read_checked(data, name, group, beside)
 
 
 _CACHED_BYTES = 2 * limits.MIB  # of a file that is read again for the next scene of a folder
@@ -60,15 +60,15 @@ _CACHED_BYTES = 2 * limits.MIB  # of a file that is read again for the next scen
 @lru_cache(maxsize=16)
 def _read(data: bytes, name: str, group: str | None) -> RawMesh:
     """Read a mesh; small ones that several scenes share are read once. Their arrays must not be changed."""
-    mesh = _sound_file(data, name, group, None)
+    mesh = _read_checked(data, name, group, None)
     for array in (mesh.vertices, mesh.faces, mesh.own_vertices, mesh.own_faces):
         array.setflags(write=False)
     return mesh
 
 
-def _sound_file(data: bytes, name: str, group: str | None, beside: Beside | None) -> RawMesh:
+def _read_checked(data: bytes, name: str, group: str | None, beside: Beside | None) -> RawMesh:
     notes = ImportNotes()
-    return sound(*mesh_arrays(data, name, group, beside, notes), notes)
+    return check_mesh(*mesh_arrays(data, name, group, beside, notes), notes)
 
 
 def mesh_arrays(
@@ -83,10 +83,10 @@ def mesh_arrays(
         raise MeshError("has no groups, as only .obj and glTF files do", "leave `group` out")
     try:
         if kind in READERS:
-            return _cut(READERS[kind](data, notes), notes)
+            return _triangulate(READERS[kind](data, notes), notes)
         if kind == "obj":
-            return _cut(read_obj(data, notes, group), notes)
-        return _cut(read_gltf_mesh(data, notes, group, beside or _nothing_beside), notes)
+            return _triangulate(read_obj(data, notes, group), notes)
+        return _triangulate(read_gltf_mesh(data, notes, group, beside or _refuse_siblings), notes)
     except (MeshError, PathRefused, MemoryError):
         raise
     except HeaderError as why:
@@ -97,7 +97,7 @@ def mesh_arrays(
         raise MeshError(f"cannot be read ({type(problem).__name__})") from problem
 
 
-def _cut(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
+def _triangulate(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
     """The polygons of a mesh as triangles."""
     wrong = np.flatnonzero((mesh.indices < 0) | (mesh.indices >= len(mesh.points)))
     if len(wrong):
@@ -120,7 +120,7 @@ def _cut(mesh: PolygonMesh, notes: ImportNotes) -> tuple[Floats, Faces]:
     return points, mesh.indices[triangulation.corners]
 
 
-def sound(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> RawMesh:
+def check_mesh(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> RawMesh:
     """The checks that hold for every format."""
     if len(vertices) == 0 or len(faces) == 0:
         raise MeshError("has no faces")
@@ -140,7 +140,7 @@ def sound(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> R
     area = np.sqrt((across * across).sum(axis=1))
     longest = np.maximum((a * a).sum(axis=1), (b * b).sum(axis=1))
     keep = area > 1e-12 * longest
-    first = _first_of_each(np.sort(faces, axis=1).astype(np.int64), len(vertices))
+    first = _first_rows(np.sort(faces, axis=1).astype(np.int64), len(vertices))
     single = np.zeros(len(faces), bool)
     single[first] = True
     keep &= single
@@ -163,7 +163,7 @@ def sound(vertices: Floats, faces: Faces, notes: ImportNotes | None = None) -> R
     )
 
 
-def _first_of_each(rows: Faces, bound: int) -> NDArray[np.int64]:
+def _first_rows(rows: Faces, bound: int) -> NDArray[np.int64]:
     """Return the first index of each distinct row of three numbers below `bound`. Rows are combined into one number for speed."""
     if bound > 2**21:
         _, first = np.unique(rows, axis=0, return_index=True)
@@ -177,11 +177,11 @@ GLTF = ("gltf", "glb")
 KINDS = (*READERS, "obj", *GLTF)
 
 
-def _nothing_beside(path: str, cap: int) -> bytes:
+def _refuse_siblings(path: str, cap: int) -> bytes:
     raise MeshError("has a buffer in another file", "export it as .glb, which has its buffers inside")
 
 
-def turned_up(points: Floats, own: str, scene_up: str) -> Floats:
+def rotate_up(points: Floats, own: str, scene_up: str) -> Floats:
     """Return points of a file with up axis `own` in a scene with up axis `scene_up`: rotated by a quarter turn about x."""
     if own == scene_up:
         return points
@@ -189,7 +189,7 @@ def turned_up(points: Floats, own: str, scene_up: str) -> Floats:
     return np.column_stack((x, z, -y) if own == "z" else (x, -z, y))
 
 
-def rotated(points: Floats, angles: tuple[float, float, float]) -> Floats:
+def rotate_points(points: Floats, angles: tuple[float, float, float]) -> Floats:
     """Rotate points about x, then y, then z, by radians."""
     for axis, angle in enumerate(angles):
         if angle:
@@ -202,28 +202,28 @@ def rotated(points: Floats, angles: tuple[float, float, float]) -> Floats:
     return points
 
 
-@once_a_mesh
+@cached_per_mesh
 def placed(
     mesh: RawMesh, *, factor: float, own_up: str, up: str, angles: tuple[float, float, float], at: tuple[float, float, float]
 ) -> MeshData:
     """Return a file's mesh in the scene: millimetres, the scene's axes. The outside of a mirrored mesh stays outside. Raises
     MeshError if it is too far out."""
-    vertices = rotated(turned_up(mesh.vertices * factor, own_up, up), angles) + np.array(at)
-    mesh_data = within_reach(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
+    vertices = rotate_points(rotate_up(mesh.vertices * factor, own_up, up), angles) + np.array(at)
+    mesh_data = mesh_within_limits(vertices, mesh.faces[:, ::-1] if factor < 0 else mesh.faces)
     if not mesh.vertices.flags.writeable:
         for array in (mesh_data.vertices, mesh_data.faces):
             array.setflags(write=False)
     return mesh_data
 
 
-def within_reach(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
+def mesh_within_limits(vertices: Floats, faces: NDArray[np.integer]) -> MeshData:
     """Return vertices in mm as a mesh. Raises MeshError if one is too far out."""
     if not np.isfinite(vertices).all() or np.abs(vertices).max() > _FARTHEST:
         raise MeshError("lies more than a thousand kilometres out", "move it with `at`, or check its `units`")
     return MeshData(np.ascontiguousarray(vertices), np.ascontiguousarray(faces, np.int32))
 
 
-@once_a_mesh
+@cached_per_mesh
 def mesh_area(mesh: MeshData) -> float:
     """The area of all faces, mm²."""
     a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))

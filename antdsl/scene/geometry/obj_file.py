@@ -15,11 +15,11 @@ from antdsl.scene.geometry.mesh_text import (
     Floats,
     Integers,
     MeshError,
-    blocks,
     check_count,
     check_text,
     display_word,
     plain_text,
+    read_blocks,
 )
 from antdsl.scene.geometry.polygons import PolygonMesh
 
@@ -34,8 +34,8 @@ def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> Polyg
     notes.form = "Wavefront .obj"
     check_text(data)
     reader = _Reader(notes, group)
-    for block in blocks(plain_text(data, wavefront=True)):
-        reader.add(block)
+    for block in read_blocks(plain_text(data, wavefront=True)):
+        reader.read_block(block)
     return reader.mesh()
 
 
@@ -53,17 +53,17 @@ class _Reader:
     in_group: bool = False
     in_object: bool = False
 
-    def add(self, block: Block) -> None:
+    def read_block(self, block: Block) -> None:
         """Read the lines of a block."""
-        kind = block.letters()
+        kind = block.line_keywords()
         vertex, face = kind == b"v", (kind == b"f") | (kind == b"fo")
         vertex_counts = self.vertices + np.cumsum(vertex)
         if vertex.any():
-            self._vertices(block.number[vertex], block.first[vertex], block.count[vertex], block)
+            self._read_vertices(block.number[vertex], block.first[vertex], block.count[vertex], block)
         within = np.ones(len(block), np.bool_) if self.group is None else self._is_chosen(block, kind)
         chosen = face & within
         if chosen.any():
-            self._faces(block, np.flatnonzero(chosen), vertex_counts[chosen])
+            self._read_faces(block, np.flatnonzero(chosen), vertex_counts[chosen])
         rest = within & ~(vertex | face | (kind == b"vn") | (kind == b"vt"))
         for k in np.flatnonzero(rest).tolist():
             word = block.line(k)[0].lower()
@@ -77,15 +77,15 @@ class _Reader:
             else:
                 self.notes.skip(f"unknown keyword `{display_word(word)}`", 1, line)
 
-    def _vertices(self, number: Integers, first: Integers, count: Integers, block: Block) -> None:
+    def _read_vertices(self, number: Integers, first: Integers, count: Integers, block: Block) -> None:
         short = np.flatnonzero(count < 4)
         if len(short):
             raise MeshError(f"has a vertex of fewer than three numbers in line {number[short[0]]:,}")
         self.vertices += len(first)
         check_count(self.vertices, VERTICES, "vertices")
-        self.points.append(block.floats(first[:, None] + np.arange(1, 4), "a vertex"))
+        self.points.append(block.read_floats(first[:, None] + np.arange(1, 4), "a vertex"))
 
-    def _faces(self, block: Block, lines: Integers, vertex_counts: Integers) -> None:
+    def _read_faces(self, block: Block, lines: Integers, vertex_counts: Integers) -> None:
         count = block.count[lines] - 1
         number = block.number[lines]
         short = np.flatnonzero(count < 3)
@@ -95,17 +95,17 @@ class _Reader:
         check_count(self.corners // 3, limits.MESH_FACES, "faces")
         within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
         at = np.repeat(block.first[lines] + 1, count) + within
-        index, is_integer = block.integers(at, slash=True)
+        index, is_integer = block.read_integers(at, slash=True)
         wrong = np.flatnonzero(~is_integer | (index == 0))
         if len(wrong):
             word = block.words[at[wrong[0]]]
             raise MeshError(
-                f"has a corner `{display_word(word)}` that is no vertex number in line {block.number_of(int(at[wrong[0]])):,}"
+                f"has a corner `{display_word(word)}` that is no vertex number in line {block.line_number(int(at[wrong[0]])):,}"
             )
         back = np.repeat(vertex_counts, count)
         absent = np.flatnonzero(index < -back)
         if len(absent):
-            raise MeshError(_not_there(int(index[absent[0]]), block.number_of(int(at[absent[0]]))))
+            raise MeshError(_missing_vertex_text(int(index[absent[0]]), block.line_number(int(at[absent[0]]))))
         self.indices.append(np.where(index < 0, back + index, index - 1))
         self.counts.append(count)
         self.lines.append(number)
@@ -132,22 +132,22 @@ class _Reader:
     def mesh(self) -> PolygonMesh:
         """All that was read."""
         if self.group is not None and not self.counts:
-            raise MeshError(_no_group(self.group, list(self.names)), None)
+            raise MeshError(_missing_group_text(self.group, list(self.names)), None)
         points = np.concatenate(self.points) if self.points else np.empty((0, 3))
         indices = np.concatenate(self.indices) if self.indices else np.empty(0, np.int64)
         counts = np.concatenate(self.counts) if self.counts else np.empty(0, np.int64)
         absent = np.flatnonzero(indices >= len(points))
         if len(absent):
             face = int(np.searchsorted(np.cumsum(counts), absent[0], side="right"))
-            raise MeshError(_not_there(int(indices[absent[0]]) + 1, int(np.concatenate(self.lines)[face])))
+            raise MeshError(_missing_vertex_text(int(indices[absent[0]]) + 1, int(np.concatenate(self.lines)[face])))
         return PolygonMesh(points, counts, indices)
 
 
-def _not_there(vertex: int, line: int) -> str:
+def _missing_vertex_text(vertex: int, line: int) -> str:
     return f"names a vertex {vertex} that is not there in line {line:,}"
 
 
-def _no_group(group: str, names: list[str]) -> str:
+def _missing_group_text(group: str, names: list[str]) -> str:
     from antdsl.diagnostics.suggestion import nearest_name
 
     if group in names:

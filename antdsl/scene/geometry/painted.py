@@ -25,7 +25,7 @@ class PaintError(Exception):
         self.help = help
 
 
-def read_painted(data: bytes, name: str, attribute: str | tuple[str, ...], width: int) -> Floats:
+def read_painted_values(data: bytes, name: str, attribute: str | tuple[str, ...], width: int) -> Floats:
     """Return rows (n, width) of an attribute, width 1 or 3, one for each vertex or face. Raises PaintError with the reason if
     there are none.
 
@@ -44,7 +44,7 @@ def read_painted(data: bytes, name: str, attribute: str | tuple[str, ...], width
     return rows
 
 
-def _listed(names: Sequence[str]) -> str:
+def _list_names(names: Sequence[str]) -> str:
     return ", ".join(f"`{name[:40]}`" for name in list(names)[:12]) or "nothing"
 
 
@@ -55,19 +55,19 @@ def _from_ply(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
     try:
         header = read_header(data)
         for element in header.elements:
-            columns = _columns(element, attribute, width)
+            columns = _find_columns(element, attribute, width)
             if element.name in ("vertex", "face") and columns is not None:
-                return _scaled(data, header, element, columns, width)
+                return _read_scaled(data, header, element, columns, width)
     except HeaderError as why:
         raise PaintError(str(why)) from None
     painted = [p.name for e in header.elements if e.name in ("vertex", "face") for p in e.properties if not p.count]
     words = " ".join(attribute) if isinstance(attribute, tuple) else attribute
     sample = "attribute: [nx, ny, nz]" if width == 3 else "attribute: NAME"
     what = "three attributes" if width == 3 else "attribute"
-    raise PaintError(f"has no {what} `{words}`", f"write `{sample}`; the file has {_listed(painted)}")
+    raise PaintError(f"has no {what} `{words}`", f"write `{sample}`; the file has {_list_names(painted)}")
 
 
-def _columns(element: Element, attribute: str | tuple[str, ...], width: int) -> tuple[str, ...] | None:
+def _find_columns(element: Element, attribute: str | tuple[str, ...], width: int) -> tuple[str, ...] | None:
     """Return the names of an element's properties that are the components of the attribute, or None."""
     have = {p.name for p in element.properties if not p.count}
     if isinstance(attribute, tuple):
@@ -81,7 +81,7 @@ def _columns(element: Element, attribute: str | tuple[str, ...], width: int) -> 
     return None
 
 
-def _scaled(data: bytes, header: Header, element: Element, columns: tuple[str, ...], width: int) -> Floats:
+def _read_scaled(data: bytes, header: Header, element: Element, columns: tuple[str, ...], width: int) -> Floats:
     values = read_columns(data, header, element, columns)
     kinds = {p.name: p.kind for p in element.properties}
     if any(kinds[name] == "u1" for name in columns):
@@ -102,7 +102,7 @@ def _from_npz(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
     names = attribute if isinstance(attribute, tuple) else (attribute,)
     missing = [name for name in names if name not in arrays]
     if missing:
-        raise PaintError(f"has no array `{missing[0]}`", f"write `attribute: NAME`; the file has {_listed(list(arrays))}")
+        raise PaintError(f"has no array `{missing[0]}`", f"write `attribute: NAME`; the file has {_list_names(list(arrays))}")
     parts = [to_float64(arrays[name]) / (255.0 if arrays[name].dtype == np.uint8 else 1.0) for name in names]
     rows = parts[0] if len(parts) == 1 else np.stack(parts, axis=-1) if len({p.shape for p in parts}) == 1 else np.empty(0)
     rows = rows[:, None] if rows.ndim == 1 and width == 1 else rows

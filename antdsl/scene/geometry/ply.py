@@ -39,7 +39,7 @@ class Element:
     count: int
     properties: tuple[Property, ...]
 
-    def least(self) -> int:
+    def least_bytes(self) -> int:
         """Return the least number of bytes of one element; an empty list has only its count."""
         return sum(np.dtype(p.count or p.kind).itemsize for p in self.properties)
 
@@ -69,7 +69,7 @@ def read_header(data: bytes) -> Header:
             order = _FORMATS[words[1].lower()]
         elif head == "element" and len(words) == 3 and re.fullmatch("[0-9]{1,12}", words[2]) and len(elements) < _ELEMENTS:
             elements.append(Element(words[1], int(words[2]), ()))
-        elif head == "property" and elements and (parsed_property := _property(words[1:])):
+        elif head == "property" and elements and (parsed_property := _parse_property(words[1:])):
             last = elements[-1]
             elements[-1] = Element(last.name, last.count, (*last.properties, parsed_property))
         else:
@@ -77,7 +77,7 @@ def read_header(data: bytes) -> Header:
     if order is None:
         raise HeaderError("does not say its format")
     header = Header(order, tuple(elements), body, len(lines) + 3)
-    _fits(header, len(data))
+    _check_size(header, len(data))
     return header
 
 
@@ -103,18 +103,18 @@ def _header_lines(data: bytes) -> tuple[list[bytes], int]:
     raise HeaderError("is not a .ply file")
 
 
-def _property(words: list[str]) -> Property | None:
+def _parse_property(words: list[str]) -> Property | None:
     kinds = [word.lower() for word in words[:-1]]
     if len(words) == 4 and kinds[0] == "list" and kinds[1] in KINDS and kinds[2] in KINDS:
         return Property(words[3], KINDS[kinds[2]], KINDS[kinds[1]])
     return Property(words[1], KINDS[kinds[0]]) if len(words) == 2 and kinds[0] in KINDS else None
 
 
-def _fits(header: Header, size: int) -> None:
+def _check_size(header: Header, size: int) -> None:
     counts = {element.name: element.count for element in header.elements}
     for name, words, most in (("face", "faces", limits.MESH_FACES), ("vertex", "vertices", 3 * limits.MESH_FACES)):
         if counts.get(name, 0) > most:
             raise HeaderError(f"says it has {counts[name]:,} {words}, more than {most:,}")
-    least = sum(element.count * (element.least() if header.order else 1) for element in header.elements)
+    least = sum(element.count * (element.least_bytes() if header.order else 1) for element in header.elements)
     if least > size - header.body:
         raise HeaderError(f"says it has {sum(counts.values()):,} elements, too many for a file of {size:,} bytes")

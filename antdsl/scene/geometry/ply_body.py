@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.mesh_text import Block, MeshError, blocks, display_word, plain_text
+from antdsl.scene.geometry.mesh_text import Block, MeshError, display_word, plain_text, read_blocks
 from antdsl.scene.geometry.ply import Element, Header, HeaderError, read_header
 from antdsl.scene.geometry.polygons import PolygonMesh, strip_triangles
 
@@ -50,7 +50,7 @@ def read_ply(data: bytes, notes: ImportNotes) -> PolygonMesh:
     if not {"x", "y", "z"} <= axes.keys():
         raise HeaderError("has vertices without x, y and z")
     requested_names[id(vertex)] = [axes[axis] for axis in "xyz"]
-    lists = {id(e): _corners_of(e) for e in (face, strips) if e is not None and e.count}
+    lists = {id(e): _corner_property(e) for e in (face, strips) if e is not None and e.count}
     requested_names |= {key: [name] for key, name in lists.items()}
     for element in header.elements:
         if element.count and id(element) not in requested_names:
@@ -80,7 +80,7 @@ def _with_restarts(values: Integers, counts: Integers) -> Integers:
     return np.insert(values, np.cumsum(counts)[:-1], -1)
 
 
-def _corners_of(element: Element) -> str:
+def _corner_property(element: Element) -> str:
     """The name of the property that lists the corners of a face or strip."""
     lists = [p for p in element.properties if p.count]
     named = [p for p in lists if p.name.lower() in _INDEX] or lists
@@ -111,7 +111,7 @@ def read_elements(
             raise HeaderError(
                 f"names the property `{display_word(twice.encode())}` of `{display_word(element.name.encode())}` twice"
             )
-    read: _Text | _Binary = _Binary(data, header) if header.order else _Text(data, header)
+    read: _TextBody | _BinaryBody = _BinaryBody(data, header) if header.order else _TextBody(data, header)
     element_columns: dict[int, Columns] = {}
     for element in header.elements:
         if len(element_columns) == len(requested_names):
@@ -124,14 +124,14 @@ def read_elements(
     return element_columns
 
 
-class _Text:
+class _TextBody:
     """A text body: one line per element; blank lines are skipped."""
 
     def __init__(self, data: bytes, header: Header) -> None:
-        self._blocks = blocks(plain_text(data[header.body :]), header.line)
+        self._blocks = read_blocks(plain_text(data[header.body :]), header.line)
         self._open: Block | None = None
 
-    def _lines(self, count: int) -> Iterator[Block]:
+    def _read_lines(self, count: int) -> Iterator[Block]:
         """Yield blocks with `count` lines, fewer at the end of the file."""
         while count > 0:
             block = self._open if self._open is not None and len(self._open) else next(self._blocks, None)
@@ -150,14 +150,14 @@ class _Text:
     def columns(self, element: Element, requested_names: Collection[str]) -> Columns:
         parts: dict[str, list[Column]] = {name: [] for name in requested_names}
         count = 0
-        for block in self._lines(element.count):
+        for block in self._read_lines(element.count):
             count += len(block)
             if requested_names:
                 self._read(block, element, parts)
         if count < element.count:
             what = display_word(element.name.encode())
             raise HeaderError(f"{_SHORT}: it has {count:,} of {element.count:,} {what} lines")
-        return {name: _joined(each) for name, each in parts.items()}
+        return {name: _join_columns(each) for name, each in parts.items()}
 
     def _read(self, block: Block, element: Element, parts: Mapping[str, list[Column]]) -> None:
         at, what = block.first, display_word(element.name.encode())
@@ -167,18 +167,18 @@ class _Text:
             self._check(block, at < stop, what)
             if p.count is None:
                 if p.name in parts:
-                    parts[p.name].append(Column(block.floats(at, f"`{display_word(p.name.encode())}` of a {what}")))
+                    parts[p.name].append(Column(block.read_floats(at, f"`{display_word(p.name.encode())}` of a {what}")))
                 at = at + 1
                 continue
-            count, is_integer = block.integers(at)
+            count, is_integer = block.read_integers(at)
             self._check(block, is_integer & (count >= 0), what)
             self._check(block, at + 1 + count <= stop, what)
             if p.name in parts:
                 within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
                 word_indices = np.repeat(at + 1, count) + within
-                values, are_whole = block.integers(word_indices)
+                values, are_whole = block.read_integers(word_indices)
                 if not are_whole.all():
-                    line = block.number_of(int(word_indices[np.flatnonzero(~are_whole)[0]]))
+                    line = block.line_number(int(word_indices[np.flatnonzero(~are_whole)[0]]))
                     self._check(block, block.number != line, what)
                 parts[p.name].append(Column(values, count))
             at = at + 1 + count
@@ -193,14 +193,14 @@ class _Text:
             raise HeaderError(f"has no whole {what} in line {block.number[k]:,}: `{text}`")
 
 
-def _joined(parts: list[Column]) -> Column:
+def _join_columns(parts: list[Column]) -> Column:
     if not parts:
         return Column(np.empty(0), np.empty(0, np.int64))
     counts = [part.counts for part in parts if part.counts is not None]
     return Column(np.concatenate([part.values for part in parts]), np.concatenate(counts) if counts else None)
 
 
-class _Binary:
+class _BinaryBody:
     def __init__(self, data: bytes, header: Header) -> None:
         self._data, self._order, self._at = data, header.order, header.body
 
@@ -213,9 +213,9 @@ class _Binary:
     def columns(self, element: Element, requested_names: Collection[str]) -> Columns:
         if not element.count:
             return {p.name: Column(np.empty(0), np.empty(0, np.int64) if p.count else None) for p in element.properties}
-        lengths = self._lengths(element)
+        lengths = self._first_lengths(element)
         if lengths is None:
-            return self._uneven(element, requested_names)
+            return self._read_uneven(element, requested_names)
         layout: list[tuple[str, str] | tuple[str, str, tuple[int]]] = []
         for p in element.properties:
             if p.count is not None:
@@ -224,10 +224,10 @@ class _Binary:
                 layout.append((p.name, self._order + p.kind))
         kind = np.dtype(layout)
         if self._at + element.count * kind.itemsize > len(self._data):
-            return self._uneven(element, requested_names)
+            return self._read_uneven(element, requested_names)
         rows = np.frombuffer(self._data, kind, element.count, self._at)
         if any((rows[f"{name}#"] != length).any() for name, length in lengths.items()):
-            return self._uneven(element, requested_names)
+            return self._read_uneven(element, requested_names)
         self._at += rows.nbytes
         found = {}
         for p in element.properties:
@@ -237,7 +237,7 @@ class _Binary:
                 found[p.name] = Column(rows[p.name].astype(np.int64).reshape(-1), np.full(element.count, lengths[p.name]))
         return found
 
-    def _lengths(self, element: Element) -> dict[str, int] | None:
+    def _first_lengths(self, element: Element) -> dict[str, int] | None:
         """Return the list lengths of the first element, which all elements usually share. None if that is impossible."""
         at, lengths = self._at, {}
         for p in element.properties:
@@ -261,12 +261,12 @@ class _Binary:
             )
         return int(count)
 
-    def _uneven(self, element: Element, requested_names: Collection[str]) -> Columns:
+    def _read_uneven(self, element: Element, requested_names: Collection[str]) -> Columns:
         """Return lists of different lengths: first find where each begins, element by element, then read all values at once."""
         data, at, name = self._data, self._at, display_word(element.name.encode())
         starts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names}
         counts: dict[str, list[int]] = {p.name: [] for p in element.properties if p.name in requested_names and p.count}
-        steps = [_step(self._order, p.kind, p.count) for p in element.properties]
+        steps = [_value_reader(self._order, p.kind, p.count) for p in element.properties]
         names = [p.name if p.name in requested_names else "" for p in element.properties]
         try:
             for row in range(element.count):
@@ -291,11 +291,11 @@ class _Binary:
         for p in element.properties:
             if p.name in requested_names:
                 many = np.array(counts[p.name], np.int64) if p.count else np.ones(element.count, np.int64)
-                values = self._gathered(np.array(starts[p.name], np.int64), many, p.kind)
+                values = self._gather_values(np.array(starts[p.name], np.int64), many, p.kind)
                 columns[p.name] = Column(values.astype(np.int64), many) if p.count else Column(values)
         return columns
 
-    def _gathered(self, start: Integers, count: Integers, kind: str) -> NDArray[Any]:
+    def _gather_values(self, start: Integers, count: Integers, kind: str) -> NDArray[Any]:
         size, total = np.dtype(kind).itemsize, int(count.sum())
         if total * size > limits.MESH_BYTES:
             raise HeaderError(_SHORT)
@@ -310,7 +310,7 @@ _CODES = {
 }  # fmt: skip
 
 
-def _step(order: str, kind: str, count: str | None) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
+def _value_reader(order: str, kind: str, count: str | None) -> tuple[int, Callable[[bytes, int], tuple[Any, ...]] | None, int]:
     """Return the bytes of one value; for a list also how its length is read, and the bytes of that."""
     read = None if count is None else struct.Struct(order + _CODES[count])
     return np.dtype(kind).itemsize, None if read is None else read.unpack_from, 0 if read is None else read.size

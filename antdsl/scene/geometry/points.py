@@ -18,14 +18,14 @@ class PointsError(Exception):
     """Why a file has no points, in words that fit after its name."""
 
 
-def _refuse(word: str) -> Any:
+def _refuse_constant(word: str) -> Any:
     raise PointsError(f"has `{word}`, which is no number")
 
 
 def read_points(data: bytes, least: int) -> NDArray[np.float64]:
     """At least `least` points as an array (n, 3) in the file's own units; PointsError says why not."""
     try:
-        points = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse)
+        points = json.loads(data.decode("utf-8-sig"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError):
         raise PointsError("is not JSON") from None
     if not isinstance(points, list) or len(points) < least:

@@ -52,14 +52,14 @@ def triangulate(points: Floats, counts: Integers, indices: Integers) -> Triangul
     if len(counts) and (counts == 3).all():
         return Triangulation(np.arange(3 * len(counts)).reshape(-1, 3), np.arange(len(counts)))
     own = np.arange(len(indices))
-    while (again := _repeated(points[indices[own]], counts)).any():
+    while (again := _is_repeated(points[indices[own]], counts)).any():
         counts = counts - np.bincount(np.repeat(np.arange(len(counts)), counts)[again], minlength=len(counts))
         own = own[~again]
-    triangulation = _cut(points, counts, indices[own])
+    triangulation = _cut_polygons(points, counts, indices[own])
     return replace(triangulation, corners=own[triangulation.corners])
 
 
-def _repeated(points: Floats, counts: Integers) -> NDArray[np.bool_]:
+def _is_repeated(points: Floats, counts: Integers) -> NDArray[np.bool_]:
     """Return which corners of polygons with at least four corners coincide with the previous one, or, for the last, with the
     first."""
     large = counts > 3
@@ -73,7 +73,7 @@ def _repeated(points: Floats, counts: Integers) -> NDArray[np.bool_]:
     return again & np.repeat(left > 2, counts)
 
 
-def _cut(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
+def _cut_polygons(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
     start = np.cumsum(counts) - counts
     parts: list[tuple[Integers, Integers]] = []
     concave, crossing, hard = 0, [], []
@@ -84,7 +84,7 @@ def _cut(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
             parts.append((these, at[:, None, :]))
             continue
         rings = points[indices[at]]
-        fans, middle, crossed = _fans(rings)
+        fans, middle, crossed = _cut_fans(rings)
         known = middle >= 0
         parts.append((these[known], at[known][np.arange(int(known.sum()))[:, None, None], fans[known]]))
         concave += int(_has_reflex(rings[middle != 0]).sum())
@@ -93,7 +93,7 @@ def _cut(points: Floats, counts: Integers, indices: Integers) -> Triangulation:
     _check_work(counts[hard])
     for number in sorted(hard):
         at = np.arange(start[number], start[number] + counts[number])
-        triangles, crossed_itself = _ears(_flat(points[indices[at]][None])[0][0])
+        triangles, crossed_itself = _cut_ears(_project(points[indices[at]][None])[0][0])
         parts.append((np.full(1, number), at[triangles][None]))
         if crossed_itself:
             crossing.append(number)
@@ -110,7 +110,7 @@ def _check_work(counts: Integers) -> None:
         raise TooManyCorners(f"has {len(counts):,} polygons with too many corners to cut")
 
 
-def _flat(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+def _project(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     """Return polygons [p, n, 3] projected along the axis nearest to their normal, counter-clockwise [p, n, 2], and whether they
     have an area."""
     low = rings.min(axis=1, keepdims=True)
@@ -133,12 +133,12 @@ def _flat(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:
     return outline, np.abs(size) > _FLAT
 
 
-def _fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
+def _cut_fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
     """Return for polygons [p, n, 3] the triangles [p, n - 2, 3] of a fan, and whether they cross themselves. Also return the
     corner at the centre of the fan, -1 if no fan that was tried covers the polygon."""
     count = rings.shape[1]
-    outline, has_area = _flat(rings)
-    crossed = ~has_area & _crosses(rings)
+    outline, has_area = _project(rings)
+    crossed = ~has_area & _is_crossing(rings)
     middle = np.where(has_area, -1, 0)  # without an area: a fan of nothing
     step = np.arange(1, count - 1)
     for k in range(min(count, _FANS)):
@@ -163,14 +163,14 @@ def _fans(rings: Floats) -> tuple[Integers, Integers, NDArray[np.bool_]]:
 
 def _has_reflex(rings: Floats) -> NDArray[np.bool_]:
     """Whether polygons [p, n, 3] have a corner that points inward."""
-    outline, has_area = _flat(rings)
+    outline, has_area = _project(rings)
     side = np.roll(outline, -1, axis=1) - outline
     previous_side = np.roll(side, 1, axis=1)
     turn = previous_side[..., 0] * side[..., 1] - previous_side[..., 1] * side[..., 0]
     return np.asarray(has_area & (turn < -_FLAT).any(axis=1))
 
 
-def _crosses(rings: Floats) -> NDArray[np.bool_]:
+def _is_crossing(rings: Floats) -> NDArray[np.bool_]:
     """Return whether polygons without a total area have triangles with one: they cross themselves, like an 8."""
     side = rings[:, 1:] - rings[:, :1]
     extent = np.maximum(np.abs(side).max(axis=(1, 2)), 1e-300)
@@ -178,30 +178,30 @@ def _crosses(rings: Floats) -> NDArray[np.bool_]:
     return np.asarray(across > 1e-6 * extent * extent)
 
 
-def _ears(outline: Floats) -> tuple[Integers, bool]:
+def _cut_ears(outline: Floats) -> tuple[Integers, bool]:
     """Return triangles (m, 3) of the corners of one polygon [n, 2], counter-clockwise, and whether it crosses itself."""
     from mapbox_earcut import triangulate_float64
 
     grid = np.round(outline * _GRID)
     triangles = triangulate_float64(grid, np.array([len(grid)], np.uint32)).astype(np.int64).reshape(-1, 3)
-    twice = _twice_areas(grid, triangles)
+    twice = _double_areas(grid, triangles)
     triangles[twice < 0] = triangles[twice < 0][:, [0, 2, 1]]
     x, y = grid.T
     double_area = float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
     covered = float(np.abs(twice).sum())
     corners = [(int(a), int(b)) for a, b in grid]
-    return np.array(_split(triangles.tolist(), corners), np.int64).reshape(-1, 3), abs(
+    return np.array(_split_at_corners(triangles.tolist(), corners), np.int64).reshape(-1, 3), abs(
         covered - double_area
     ) > _OVERLAP * double_area
 
 
-def _twice_areas(grid: Floats, triangles: Integers) -> Floats:
+def _double_areas(grid: Floats, triangles: Integers) -> Floats:
     a, b, c = (grid[triangles[:, k]] for k in range(3))
     areas: Floats = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     return areas
 
 
-def _split(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]:
+def _split_at_corners(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]:
     """Split triangles so that they also use the corners on straight sides, which earcut leaves out. Otherwise there would be a
     crack to a neighbour that uses them."""
     count = len(corners)
@@ -220,7 +220,7 @@ def _split(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]
         triangle = waiting.pop()
         for k in range(3):
             a, b, c = triangle[k], triangle[(k + 1) % 3], triangle[(k + 2) % 3]
-            chain = _chain(a, b, needed, corners) if (a, b) in loose else []
+            chain = _corner_chain(a, b, needed, corners) if (a, b) in loose else []
             if chain:
                 stops = [a, *chain, b]
                 waiting += [[one, two, c] for one, two in pairwise(stops)][::-1]
@@ -230,7 +230,7 @@ def _split(triangles: list[list[int]], corners: list[Corner]) -> list[list[int]]
     return result
 
 
-def _chain(a: int, b: int, needed: dict[int, list[int]], corners: list[Corner]) -> list[int]:
+def _corner_chain(a: int, b: int, needed: dict[int, list[int]], corners: list[Corner]) -> list[int]:
     """Return the corners on the straight line from a to b that needed edges connect; empty if these edges go elsewhere."""
     (ax, ay), (bx, by) = corners[a], corners[b]
     at = a

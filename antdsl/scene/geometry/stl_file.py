@@ -10,8 +10,17 @@ import numpy as np
 from antdsl import limits
 from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.matrices import different
-from antdsl.scene.geometry.mesh_text import Floats, Integers, MeshError, blocks, check_count, check_text, display_word, plain_text
+from antdsl.scene.geometry.matrices import distinct_points
+from antdsl.scene.geometry.mesh_text import (
+    Floats,
+    Integers,
+    MeshError,
+    check_count,
+    check_text,
+    display_word,
+    plain_text,
+    read_blocks,
+)
 from antdsl.scene.geometry.polygons import PolygonMesh
 
 _HEAD, _FACE = 84, 50  # bytes before the first face, and of each
@@ -21,11 +30,11 @@ _MISSING = "is not a .stl file, or a part of it is missing"
 
 def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
     """Return the triangles of a file. Raises MeshError with the reason."""
-    corners = _text(data, notes) if _is_text(data) else _binary(data, notes)
+    corners = _read_text(data, notes) if _is_text(data) else _read_binary(data, notes)
     wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if len(wrong):
         raise MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
-    order, new, which = different(corners)
+    order, new, which = distinct_points(corners)
     return PolygonMesh.of_triangles(corners[order[new]], which.reshape(-1, 3))
 
 
@@ -41,7 +50,7 @@ def _is_text(data: bytes) -> bool:
     return solid and b"\0" not in head and b"facet" in head.lower()
 
 
-def _binary(data: bytes, notes: ImportNotes) -> Floats:
+def _read_binary(data: bytes, notes: ImportNotes) -> Floats:
     notes.form = "binary .stl"
     if len(data) < _HEAD:
         raise MeshError(_MISSING)
@@ -68,11 +77,11 @@ _KINDS = {
 }  # fmt: skip
 
 
-def _text(data: bytes, notes: ImportNotes) -> Floats:
+def _read_text(data: bytes, notes: ImportNotes) -> Floats:
     notes.form = "text .stl"
     corners, kinds, numbers, last = [np.empty((0, 3))], [np.empty(0, np.int64)], [np.empty(0, np.int64)], 0
-    for block in blocks(plain_text(data)):
-        letters = block.letters()
+    for block in read_blocks(plain_text(data)):
+        letters = block.line_keywords()
         kind = np.full(len(block), _OTHER)
         for word, code in _KINDS.items():
             kind[letters == word] = code
@@ -80,7 +89,7 @@ def _text(data: bytes, notes: ImportNotes) -> Floats:
         short = np.flatnonzero(vertex & (block.count < 4))
         if len(short):
             raise MeshError(f"has a corner of fewer than three numbers in line {block.number[short[0]]:,}")
-        corners.append(block.floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
+        corners.append(block.read_floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
         if (kind == _OTHER).any():
             _check_others(
                 block.number, kind, [display_word(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes

@@ -21,7 +21,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 
 
-def once_a_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenate[M, P], T]:
+def cached_per_mesh(work: Callable[Concatenate[M, P], T]) -> Callable[Concatenate[M, P], T]:
     """Return `work`, cached by mesh and arguments. Only results for read-only meshes, which are cached anyway, are stored.
     Results must not be changed either."""
 

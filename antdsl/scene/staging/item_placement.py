@@ -12,9 +12,9 @@ from antdsl.numerics.elementary import wide_atan2
 from antdsl.program.model import Dim, Kind, WorldThing
 from antdsl.scene import setting as stage_of
 from antdsl.scene.model import ItemThing, UsdThing
-from antdsl.scene.staging.cached import once_a_mesh
-from antdsl.scene.staging.stage_things import frames_of, item_places, riding, usd_items
-from antdsl.scene.staging.usd_values import UsdFile, in_base_units, tell_near_misses
+from antdsl.scene.staging.cached import cached_per_mesh
+from antdsl.scene.staging.stage_things import follow_surface, item_positions, simulated_frames, stage_usd_items
+from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_near_misses
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
@@ -23,19 +23,19 @@ DEFAULT_ITEM_RADIUS = 10.0  # mm
 Laid = tuple[tuple[stage_of.ItemData, ...], NDArray[np.float64]]
 
 
-def items_of(staging: Staging, name: str, surfaces: Mapping[str, stage_of.MeshData]) -> Laid | None:
+def place_items(staging: Staging, name: str, surfaces: Mapping[str, stage_of.MeshData]) -> Laid | None:
     """Return the items of one name as at the first frame, and their positions (frames, n, 3); None for things that are not
     items."""
     value, thing = staging.scene.model.world[name], staging.program.world.get(name)
     if isinstance(value, UsdThing) and thing is not None and thing.kind == "items":
-        return _usd_items(staging, name, value, thing)
+        return _place_usd_items(staging, name, value, thing)
     if not isinstance(value, dict):
         return None
     model = staging.scene.model
     dt = float(1 / model.fps)
     items, tracks = [], []
     for item, placing in value.items():
-        track = _laid(staging, name, item, placing, surfaces)
+        track = _place_item(staging, name, item, placing, surfaces)
         if track is None:
             continue
         radius = None if placing.radius is None else placing.radius.length(model.unit_mm)
@@ -49,31 +49,31 @@ def items_of(staging: Staging, name: str, surfaces: Mapping[str, stage_of.MeshDa
     return tuple(items), np.stack([np.broadcast_to(track, (frames, 3)) for track in tracks], axis=1)
 
 
-def _laid(
+def _place_item(
     staging: Staging, name: str, item: str, thing: ItemThing, surfaces: Mapping[str, stage_of.MeshData]
 ) -> NDArray[np.float64] | None:
     """Return an item's position at each frame (frames, 3), one frame if it is static. If it misses its surface, report an error
     and return None.
 
     With `on` it lies on the surface: at each position of its keys, else at one point of a surface that may move."""
-    track = item_places(staging, name, item, thing)
+    track = item_positions(staging, name, item, thing)
     mesh = surfaces.get(thing.on) if thing.on is not None else None
     if mesh is None or thing.on is None:
         return track
     moves, tall = staging.moves.get(thing.on), 1 if staging.scene.model.up == "y" else 2
     track = track.copy()
     for k, place in enumerate(track):
-        frame_mesh = mesh if moves is None or k == 0 else stage_of.MeshData(moves.vertices(mesh.vertices, k), mesh.faces)
-        height = height_over(frame_mesh, three(place), staging.scene.model.up)
+        frame_mesh = mesh if moves is None or k == 0 else stage_of.MeshData(moves.vertices_at(mesh.vertices, k), mesh.faces)
+        height = surface_height(frame_mesh, three(place), staging.scene.model.up)
         if height is None:
             words = f"`{item}` is neither over nor under `{thing.on}`"
             if k:
-                words += f" at frame {frames_of(staging)[k]}"
+                words += f" at frame {simulated_frames(staging)[k]}"
             span = staging.scene.span("world", name, item, "keys" if k else "at")
             staging.report.error("off-surface", words, span, "move it, or leave out `on`")
             return None
         place[tall] = height
-    return riding(mesh, moves, three(track[0])) if moves is not None and not thing.keys else track
+    return follow_surface(mesh, moves, three(track[0])) if moves is not None and not thing.keys else track
 
 
 def check_crowds(
@@ -84,14 +84,14 @@ def check_crowds(
 ) -> None:
     """Warn about a crowd that would start where no surface is; it would stand at the nearest surface point."""
     for crowd in crowds:
-        if crowd.count and beside(crowd.place, surfaces, solids, staging.scene.model.up):
+        if crowd.count and is_off_surface(crowd.place, surfaces, solids, staging.scene.model.up):
             words = f"there is no surface where `{crowd.species}` is to begin, so it begins at the nearest"
             ball = ", write a larger `radius`" if crowd.place.by_area else ""
             help = f"move it with `around`{ball}, or check the `units` of the mesh"
             staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.group, "place"), help)
 
 
-def beside(
+def is_off_surface(
     place: stage_of.PlaceData, surfaces: Mapping[str, stage_of.MeshData], solids: Mapping[str, stage_of.SolidData], up: str
 ) -> bool:
     """Return whether no surface lies below or above a crowd's start disc, or, with a start by area, in its ball."""
@@ -101,13 +101,13 @@ def beside(
     usual = surfaces if place.by_area and surfaces else grounds
     meshes = [grounds[name] for name in place.on or usual if name in grounds]
     axes = (0, 1, 2) if place.by_area else (0, 2) if up == "y" else (0, 1)
-    return len(meshes) > 0 and not any(_within(mesh, place.around, place.radius, axes) for mesh in meshes)
+    return len(meshes) > 0 and not any(_is_in_reach(mesh, place.around, place.radius, axes) for mesh in meshes)
 
 
-@once_a_mesh
-def _within(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float, axes: tuple[int, ...]) -> bool:
+@cached_per_mesh
+def _is_in_reach(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float, axes: tuple[int, ...]) -> bool:
     """Return whether a mesh reaches into a ball, or, if an axis is left out, into a disc seen along that axis."""
-    faces = _near(mesh, middle, axes, radius)
+    faces = _near_faces(mesh, middle, axes, radius)
     corners = np.zeros((len(faces), 3, 3))
     corners[:, :, : len(axes)] = (mesh.vertices[:, axes] - np.array(middle)[list(axes)])[faces]
     square = radius * radius * (1.0 + 1e-12)
@@ -124,10 +124,10 @@ def _within(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float, axes
     return bool((inside & (size > 0) & (height * height <= square * size)).any())
 
 
-def _usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) -> Laid | None:
+def _place_usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) -> Laid | None:
     """Return points or empties of a USD file as items. Radius and attributes come from the file, else from `each`, else from the
     defaults."""
-    points = usd_items(staging, name, value)
+    points = stage_usd_items(staging, name, value)
     if points is None:
         return None
     model = staging.scene.model
@@ -136,11 +136,11 @@ def _usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) 
     radius = None if value.each.radius is None else value.each.radius.length(model.unit_mm)
     own = {a.name: a.type.dim for a in thing.attributes if a.type.kind is Kind.NUMBER}
     file = UsdFile(staging, value.usd, staging.scene.span("world", name, "usd"), points)
-    columns = {key: in_base_units(file, key, dim) for key, dim in own.items()}
-    wide = in_base_units(file, "radius", Dim(length=1)) * abs(value.scale)
-    for key, column in zip(_turned_keys(value), _turned(model.up, value, points.ahead), strict=True):
+    columns = {key: read_in_base_units(file, key, dim) for key, dim in own.items()}
+    wide = read_in_base_units(file, "radius", Dim(length=1)) * abs(value.scale)
+    for key, column in zip(_facing_attributes(value), _facing_columns(model.up, value, points.ahead), strict=True):
         columns[key] = np.where(np.isfinite(columns[key]), columns[key], column)
-    tell_near_misses(file, name, [*own, "radius"])
+    warn_near_misses(file, name, [*own, "radius"])
     items = []
     for number, item in enumerate(points.names):
         attributes = {key: float(column[number]) for key, column in columns.items() if np.isfinite(column[number])}
@@ -150,11 +150,11 @@ def _usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) 
     return tuple(items), points.positions
 
 
-def _turned_keys(value: UsdThing) -> tuple[str, ...]:
+def _facing_attributes(value: UsdThing) -> tuple[str, ...]:
     return () if value.turn is None else value.turn if isinstance(value.turn, tuple) else (value.turn,)
 
 
-def _turned(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def _facing_columns(up: str, value: UsdThing, ahead: NDArray[np.float64]) -> list[NDArray[np.float64]]:
     """Return the columns of the attributes that take the direction of empties: a unit vector, or its angle from +x about the
     scene's up, counted to the left. They are nan without a direction; the angle also if it is straight up or down."""
     if value.turn is None:
@@ -173,7 +173,7 @@ def three(place: NDArray[np.float64]) -> stage_of.Point:
     return float(place[0]), float(place[1]), float(place[2])
 
 
-def _near(mesh: stage_of.MeshData, point: stage_of.Point, axes: Sequence[int], reach: float = 0.0) -> NDArray[np.int32]:
+def _near_faces(mesh: stage_of.MeshData, point: stage_of.Point, axes: Sequence[int], reach: float = 0.0) -> NDArray[np.int32]:
     """Return faces with boxes that, along some axes, come within (nearly) `reach` of a point."""
     near = np.ones(len(mesh.faces), np.bool_)
     for axis in axes:
@@ -185,11 +185,11 @@ def _near(mesh: stage_of.MeshData, point: stage_of.Point, axes: Sequence[int], r
     return faces
 
 
-@once_a_mesh
-def height_over(mesh: stage_of.MeshData, point: stage_of.Point, up: str) -> float | None:
+@cached_per_mesh
+def surface_height(mesh: stage_of.MeshData, point: stage_of.Point, up: str) -> float | None:
     """Return the highest point of a mesh on the line through a point along the scene's up, or None if there is none."""
     flat, tall = ([0, 2], 1) if up == "y" else ([0, 1], 2)
-    corners = mesh.vertices[_near(mesh, point, flat)]
+    corners = mesh.vertices[_near_faces(mesh, point, flat)]
     plan = corners[:, :, flat] - np.array(point)[flat]
     # twice the areas of the three triangles that the point makes with the edges, seen from above
     across = [plan[:, i, 0] * plan[:, (i + 1) % 3, 1] - plan[:, i, 1] * plan[:, (i + 1) % 3, 0] for i in range(3)]

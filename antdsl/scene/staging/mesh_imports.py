@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.scene import setting as stage_of
-from antdsl.scene.geometry.closed import border_edges, odd_edges, open_solid_edges
+from antdsl.scene.geometry.closed import count_border_edges, count_open_solid_edges, find_odd_edges
 from antdsl.scene.geometry.import_notes import MeshImport
-from antdsl.scene.geometry.live_faces import components, has_area, has_live_face
-from antdsl.scene.geometry.matrices import different
+from antdsl.scene.geometry.live_faces import component_numbers, has_area, has_live_face
+from antdsl.scene.geometry.matrices import distinct_points
 from antdsl.scene.geometry.meshes import RawMesh
 from antdsl.scene.model import HeightThing, MeshThing, UsdThing
 from antdsl.scene.setting import world_origin
@@ -48,7 +48,7 @@ def report_losses(staging: Staging, display_name: str, raw: RawMesh, span: Span 
         faces = "face crosses itself" if notes.crossing == 1 else "faces cross themselves"
         words = f"{notes.crossing:,} {faces} in `{display_name}`, the first is face {notes.crossing_face:,}"
         report.warning("crossing-face", words, span, "cut it into triangles in the program that made the mesh")
-    skipped = notes.skipped_words()
+    skipped = notes.skipped_phrases()
     if skipped:
         remainder = f" and {len(skipped) - 8} more" if len(skipped) > 8 else ""
         words = f"`{display_name}` has content that is not read: {', '.join(skipped[:8])}{remainder}"
@@ -64,7 +64,7 @@ def report_distances(staging: Staging, setting: stage_of.Setting) -> None:
         if away > _FAR:
             words = f"`{name}` reaches {away / 1e6:,.0f} km from the middle of the world, where positions have steps of 1 mm"
             help = "move its parts closer together with `at`, or check its `units`"
-            staging.report.warning("far-away", words, mesh_place(staging, name)[1], help)
+            staging.report.warning("far-away", words, mesh_location(staging, name)[1], help)
 
 
 def weld_thing(
@@ -84,7 +84,7 @@ def weld_thing(
     words, welding = f"{written} moves corners of every face of `{name}` to one place", None
     if (lengths > tolerance).any():
         try:
-            welding = _weld(mesh, tolerance)
+            welding = _weld_mesh(mesh, tolerance)
         except WeldError as why:
             words = f"{written} {why} of `{name}`"
     if welding is not None and staging.program.world[name].kind == "solid" and is_flat(welding.mesh.vertices, welding.mesh.faces):
@@ -97,8 +97,8 @@ def weld_thing(
     if removed_count * _MANY > len(mesh.faces) or tolerance > median / 2:
         words = f"{written} removes {removed_count:,} of {len(mesh.faces):,} triangles of `{name}`"
         words = words if removed_count else f"{written} is more than half of the median edge of `{name}`, {median:.3g} mm"
-        staging.report.warning("degenerate-faces", words, span, f"write `weld: {one_digit_down(median / 4):g} mm` or less")
-    return _take(staging, name, welding)
+        staging.report.warning("degenerate-faces", words, span, f"write `weld: {round_down_digit(median / 4):g} mm` or less")
+    return _record_welding(staging, name, welding)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,7 +110,7 @@ class _Welded:
     keep: NDArray[np.bool_]
 
 
-def _weld(mesh: stage_of.MeshData, tolerance: float) -> _Welded | None:
+def _weld_mesh(mesh: stage_of.MeshData, tolerance: float) -> _Welded | None:
     """Return the mesh with its vertices welded, without faces that lose a corner; None if no face with an area remains. Raises
     WeldError if the tolerance is much too large."""
     vertices, count = welded(mesh.vertices, tolerance)
@@ -121,7 +121,7 @@ def _weld(mesh: stage_of.MeshData, tolerance: float) -> _Welded | None:
     return _Welded(welded_mesh, count, keep) if has_area(*(vertices[welded_mesh.faces[:, k]] for k in range(3))).any() else None
 
 
-def _take(staging: Staging, name: str, welding: _Welded) -> stage_of.MeshData:
+def _record_welding(staging: Staging, name: str, welding: _Welded) -> stage_of.MeshData:
     """Record what welding changed. Values painted on faces stay with the remaining faces."""
     raw = staging.raw[name]
     if welding.moved:
@@ -134,27 +134,27 @@ def _take(staging: Staging, name: str, welding: _Welded) -> stage_of.MeshData:
 
 def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid: stage_of.SolidData) -> stage_of.SolidData:
     """Return the solid, with its vertices welded if it is not closed otherwise. Reports an error if it still has no inside."""
-    display_name, place = mesh_place(staging, name)
+    display_name, place = mesh_location(staging, name)
     if is_flat(solid.mesh.vertices, solid.mesh.faces):
         words, help = f"the solid `{name}` has no volume: `{display_name}` is flat", "give it a thickness, or declare a `surface`"
         staging.report.error("bad-mesh", words, place, help)
         return solid
-    loose = open_solid_edges(solid)
+    loose = count_open_solid_edges(solid)
     if not loose:
         return solid
     if value.weld is None:
         try:
-            welding = _weld(solid.mesh, _DEFAULT_WELD * solid.voxel)
+            welding = _weld_mesh(solid.mesh, _DEFAULT_WELD * solid.voxel)
         except WeldError:
             welding = None
         if welding is not None and not is_flat(welding.mesh.vertices, welding.mesh.faces):
             closed = replace(solid, mesh=welding.mesh)
-            if not open_solid_edges(closed):
-                _take(staging, name, welding)
+            if not count_open_solid_edges(closed):
+                _record_welding(staging, name, welding)
                 return closed
     edges = "1 edge borders" if loose == 1 else f"{loose:,} edges border"
     words = f"the mesh of the solid `{name}` is not closed: {edges} on nothing"
-    gaps = openings(solid.mesh.vertices, solid.mesh.faces, solid.voxel)
+    gaps = measure_openings(solid.mesh.vertices, solid.mesh.faces, solid.voxel)
     if gaps.gap:
         help = f"its gaps are up to {gaps.width:.2g} mm wide: write `weld: {gaps.gap:g} mm`"
     else:
@@ -164,7 +164,7 @@ def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid:
     return solid
 
 
-def check_live(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
+def check_live_faces(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
     """Report an error for each surface without a face that is ground, by the rule of the ground itself: no agent could stand on
     it."""
     if not surfaces:
@@ -175,7 +175,7 @@ def check_live(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> N
     for name, mesh in surfaces.items():
         if has_live_face(mesh.vertices, mesh.faces, extent):
             continue
-        display_name, span = mesh_place(staging, name)
+        display_name, span = mesh_location(staging, name)
         if has_area(*(mesh.vertices[mesh.faces[:, k]] for k in range(3))).any():
             words = f"the mesh `{display_name}` is less than a millionth as wide as all surfaces together ({extent:.3g} mm)"
             help = "check its `units` and `scale`, or leave it out"
@@ -185,14 +185,14 @@ def check_live(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> N
         staging.report.error("bad-mesh", words, span, help)
 
 
-def mesh_place(staging: Staging, name: str) -> tuple[str, Span | None]:
+def mesh_location(staging: Staging, name: str) -> tuple[str, Span | None]:
     """Return the name of a thing's mesh in messages, and where the scene names it."""
     value = staging.scene.model.world[name]
     key = next(key for key in ("mesh", "height", "prim") if hasattr(value, key))
     return str(value.path if isinstance(value, UsdThing) else getattr(value, key)), staging.scene.span("world", name, key)
 
 
-def mesh_imports(staging: Staging, meshes: Mapping[str, stage_of.MeshData]) -> dict[str, MeshImport]:
+def collect_imports(staging: Staging, meshes: Mapping[str, stage_of.MeshData]) -> dict[str, MeshImport]:
     """The report on each mesh, in scene units."""
     imports, unit = {}, staging.scene.model.unit_mm
     for name, mesh in meshes.items():
@@ -211,8 +211,8 @@ def mesh_imports(staging: Staging, meshes: Mapping[str, stage_of.MeshData]) -> d
             dropped=raw.dropped,
             welded=staging.welds.get(name, 0),
             left=len(mesh.faces),
-            border_edges=border_edges(mesh),
-            skipped=tuple(notes.skipped_words()),
+            border_edges=count_border_edges(mesh),
+            skipped=tuple(notes.skipped_phrases()),
             low=(float(low[0]), float(low[1]), float(low[2])),
             high=(float(high[0]), float(high[1]), float(high[2])),
         )
@@ -230,7 +230,7 @@ def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
     Raises WeldError if so many are near that a list of the pairs would take far more memory than the mesh."""
     from scipy.spatial import KDTree
 
-    order, new, which = different(vertices)
+    order, new, which = distinct_points(vertices)
     points = vertices[order[new]]
     tree = KDTree(points)
     if int(tree.count_neighbors(tree, tolerance)) - len(points) > 2 * max(_PAIRS, _NEIGHBOURS * len(points)):
@@ -238,7 +238,7 @@ def welded(vertices: Floats, tolerance: float) -> tuple[Floats, int]:
     pairs = tree.query_pairs(tolerance, output_type="ndarray")
     if not len(pairs):
         return vertices, 0
-    number = components(pairs, len(points))[which]
+    number = component_numbers(pairs, len(points))[which]
     first = np.full(int(number.max()) + 1, len(vertices))
     np.minimum.at(first, number, np.arange(len(vertices)))  # the first in the file, whatever the library's numbers
     welded_vertices = vertices[first[number]]
@@ -282,11 +282,11 @@ class Openings:
     longest: float
 
 
-def openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
+def measure_openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
     """Measure the openings. `grain`: positions nearer than this coincide."""
     from scipy.spatial import KDTree
 
-    edges, points = odd_edges(vertices, faces, grain)
+    edges, points = find_odd_edges(vertices, faces, grain)
     ends = points[edges]
     lengths = np.sqrt(((ends[:, 0] - ends[:, 1]) ** 2).sum(axis=1))
     rim = np.unique(edges)
@@ -296,28 +296,28 @@ def openings(vertices: Floats, faces: Faces, grain: float) -> Openings:
     narrow = near[near < most]
     gap = width = float(narrow.max()) if len(narrow) else 0.0
     for _ in range(_TRIES if gap else 0):
-        gap = one_digit_up(gap)
+        gap = round_up_digit(gap)
         if gap > most:
             break
         try:
             moved = welded(vertices, gap)[0]
         except WeldError:
             break
-        if has_three_places(moved, faces).any() and not is_flat(moved, faces) and not len(odd_edges(moved, faces, grain)[0]):
+        if has_three_places(moved, faces).any() and not is_flat(moved, faces) and not len(find_odd_edges(moved, faces, grain)[0]):
             return Openings(gap, width, 0, 0, 0.0)
         gap *= 2
-    _, piece, count = np.unique(components(edges, len(points))[edges[:, 0]], return_inverse=True, return_counts=True)
+    _, piece, count = np.unique(component_numbers(edges, len(points))[edges[:, 0]], return_inverse=True, return_counts=True)
     largest = int(count.argmax())
     return Openings(0.0, 0.0, len(count), int(count[largest]), float(lengths[piece == largest].max()))
 
 
-def one_digit_down(x: float) -> float:
+def round_down_digit(x: float) -> float:
     """Round x down to one digit: 0.17 gives 0.1."""
     digits, _, power = f"{x:.15e}".partition("e")
     return float(f"{digits[0]}e{power}")
 
 
-def one_digit_up(x: float) -> float:
+def round_up_digit(x: float) -> float:
     """Return the next one-digit number above x: 0.17 gives 0.2, and 0.2 gives 0.3."""
     digits, _, power = f"{x:.15e}".partition("e")
     return float(f"{int(digits[0]) + 1}e{power}")

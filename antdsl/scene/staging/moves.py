@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.scene.geometry.matrices import applied, compose, inverse, product, still
+from antdsl.scene.geometry.matrices import apply_transforms, compose, inverses, matrix_product, still
 
 Floats = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class MeshMoves:
     @staticmethod
     def rigid(transforms: Floats, count: int) -> MeshMoves:
         """Move all of `count` vertices by transforms (frames, 3, 4) from a common space; the first one has an inverse."""
-        track = compose(transforms, inverse(transforms[0]))
+        track = compose(transforms, inverses(transforms[0]))
         track[(transforms == transforms[0]).all(axis=(1, 2))] = still()
         return MeshMoves(np.zeros(count, np.int32), track[None], np.empty(0, np.int64), np.empty((0, 0, 3), np.float64))
 
@@ -44,25 +44,25 @@ class MeshMoves:
         offsets = (positions - positions[0]).astype(np.float64)
         return MeshMoves(np.zeros(count, np.int32), still(1, frames), np.arange(count), offsets)
 
-    def vertices(self, rest: Floats, frame: int) -> Floats:
+    def vertices_at(self, rest: Floats, frame: int) -> Floats:
         """Return the vertices (n, 3) at a frame, counted from 0. `rest`: their positions at frame 0. The end values hold
         outside."""
         k = min(max(frame, 0), self.frames - 1)
-        place = applied(self.tracks[:, k].take(self.group, axis=0), rest)
+        place = apply_transforms(self.tracks[:, k].take(self.group, axis=0), rest)
         if len(self.deformed):
             place[self.deformed] += self.offsets[k]
         return np.ascontiguousarray(place)
 
     def placed(self, transforms: Floats) -> MeshMoves:
         """Return the same motion in the space that the transforms `transforms` (frames, 3, 4) lead to."""
-        back = inverse(transforms[0])
+        back = inverses(transforms[0])
         tracks = compose(compose(transforms[None], self.tracks), back)
         tracks[:, (transforms == transforms[0]).all(axis=(1, 2)) & (self.tracks == still()).all(axis=(0, 2, 3))] = still()
         turn = transforms[: len(self.offsets), :, :3]
-        offsets = product(self.offsets, np.swapaxes(turn, 1, 2))
+        offsets = matrix_product(self.offsets, np.swapaxes(turn, 1, 2))
         return MeshMoves(self.group, tracks, self.deformed, offsets)
 
-    def take(self, vertex_numbers: NDArray[np.int64]) -> MeshMoves:
+    def select_vertices(self, vertex_numbers: NDArray[np.int64]) -> MeshMoves:
         """Return the moves of some vertices; `vertex_numbers`: their numbers, ascending."""
         place = np.full(len(self.group), -1)
         place[vertex_numbers] = np.arange(len(vertex_numbers))

@@ -14,7 +14,7 @@ from antdsl.program.tables.vocabulary import LENGTH
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.meshes import mesh_area
-from antdsl.scene.matching import const_base
+from antdsl.scene.matching import const_in_base_units
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
@@ -28,7 +28,7 @@ def check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> 
     for name, declared in staging.program.fields.items():
         if not isinstance(declared.cell, Const):
             continue
-        edge = const_base(declared.cell, staging.scene)
+        edge = const_in_base_units(declared.cell, staging.scene)
         if edge <= 0:
             continue
         area = sum(mesh_area(surfaces[s]) for s in declared.surfaces if s in surfaces)
@@ -46,7 +46,7 @@ def check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData], sol
     for line in staging.scene.model.crowd:
         species = staging.program.species.get(line.species)
         size = next((a.default for a in species.attributes if a.name == "size"), None) if species else None
-        length = _some_length(size, staging) if size is not None else None
+        length = _first_length(size, staging) if size is not None else None
         if length is None:
             continue
         for name, mesh in surfaces.items():
@@ -63,13 +63,13 @@ def check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData], sol
                 staging.report.warning("odd-scale", words, place, help)
 
 
-def _some_length(expression: Expr, staging: Staging) -> float | None:
+def _first_length(expression: Expr, staging: Staging) -> float | None:
     """The first length in an expression such as `uniform(3 mm, 5 mm)`, in millimetres."""
     stack: list[Expr | None] = [expression]
     while stack:
         part = stack.pop()
         if isinstance(part, Const) and part.type.dim == LENGTH and part.number > 0:
-            return const_base(part, staging.scene)
+            return const_in_base_units(part, staging.scene)
         if isinstance(part, ParamRef):
             stack.append(staging.program.params[part.name].default)
         elif isinstance(part, Op):

@@ -17,8 +17,8 @@ from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
 from antdsl.scene.model import Point, millimetres
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.staging.stage_things import usd_places
-from antdsl.scene.staging.usd_values import UsdFile, in_base_units, tell_near_misses
+from antdsl.scene.staging.stage_things import stage_usd_places
+from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_near_misses
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
@@ -31,7 +31,7 @@ def length(scene: Scene, value: Quantity | None) -> float | None:
 PointsByName = Mapping[str, stage_of.Point]
 
 
-def point(
+def stage_point(
     staging: Staging,
     item_points: PointsByName,
     around: Point | str | None,
@@ -55,13 +55,13 @@ def place(staging: Staging, item_points: PointsByName, place: Placement, *path: 
     scene = staging.scene
     points, ahead, values = None, None, {}
     if isinstance(place.points, UsdPlaces):
-        usd_points = usd_places(staging, place.points, *path)
+        usd_points = stage_usd_places(staging, place.points, *path)
         if usd_points is not None:
             file = UsdFile(staging, place.points.usd, scene.span(*path, "points", "usd"), usd_points)
             points, ahead, values = (
                 usd_points.positions[0],
-                _unit(usd_points.ahead),
-                _values(file, scene.model.crowd[int(path[1])].species),
+                _normalise(usd_points.ahead),
+                _read_usd_attributes(file, scene.model.crowd[int(path[1])].species),
             )
     elif place.points is not None:
         points = staging.points(place.points, 1, *path, "points")
@@ -69,8 +69,8 @@ def place(staging: Staging, item_points: PointsByName, place: Placement, *path: 
             points = points * scene.model.unit_mm
     return stage_of.PlaceData(
         on=(place.on,) if place.on is not None else (),
-        around=point(staging, item_points, place.around, place.radius, *path),
-        inside=point(staging, item_points, place.inside, None, *path, key="inside"),
+        around=stage_point(staging, item_points, place.around, place.radius, *path),
+        inside=stage_point(staging, item_points, place.inside, None, *path, key="inside"),
         radius=length(scene, place.radius),
         points=points,
         density=place.density,
@@ -82,30 +82,32 @@ def place(staging: Staging, item_points: PointsByName, place: Placement, *path: 
     )
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _normalise(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return vectors (n, 3) normalized to length 1, nan where there is no direction."""
     size = np.sqrt((vectors[:, 0] * vectors[:, 0] + vectors[:, 1] * vectors[:, 1]) + vectors[:, 2] * vectors[:, 2])
     unit_vectors: NDArray[np.float64] = vectors / np.where(size > 0, size, np.nan)[:, None]
     return unit_vectors
 
 
-def _values(file: UsdFile, species: str) -> dict[str, NDArray[np.float64]]:
+def _read_usd_attributes(file: UsdFile, species: str) -> dict[str, NDArray[np.float64]]:
     """Return the attributes of a species for which points or empties have values."""
     declared = file.staging.program.species[species].attributes
     own = {a.name: a.type.dim for a in declared if a.type.kind is Kind.NUMBER and not a.each}
     own |= {a.name: Dim() for a in declared if a.type.kind is Kind.BOOL}
-    columns = {name: in_base_units(file, name, dim) for name, dim in own.items()}
-    tell_near_misses(file, species, own)
+    columns = {name: read_in_base_units(file, name, dim) for name, dim in own.items()}
+    warn_near_misses(file, species, own)
     return {name: column for name, column in columns.items() if np.isfinite(column).any()}
 
 
-def walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
+def stage_walk(scene: Scene, walk: Walk | None) -> stage_of.WalkData | None:
     if walk is None:
         return None
     model = scene.model
     x, y, z = walk.direction
     size = math.sqrt((x * x + y * y) + z * z)
-    speed = walk.speed.length(model.unit_mm) if walk.speed.bare else walk.speed.base(model.unit_mm, float(1 / model.fps))
+    speed = (
+        walk.speed.length(model.unit_mm) if walk.speed.is_bare else walk.speed.to_base_units(model.unit_mm, float(1 / model.fps))
+    )
     return stage_of.WalkData((x / size, y / size, z / size), speed, walk.length.length(model.unit_mm))
 
 

@@ -13,12 +13,12 @@ from antdsl.diagnostics import Report
 from antdsl.program.model import Program
 from antdsl.scene import model
 from antdsl.scene import setting as stage_of
-from antdsl.scene.geometry.meshes import RawMesh, rotated, turned_up
-from antdsl.scene.geometry.painted import PaintError, read_painted
+from antdsl.scene.geometry.meshes import RawMesh, rotate_points, rotate_up
+from antdsl.scene.geometry.painted import PaintError, read_painted_values
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.setting import Target
-from antdsl.scene.staging.stage_things import first_turn, shortened, usd_paint
+from antdsl.scene.staging.stage_things import first_rotation, limit_length, stage_usd_paint
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
@@ -34,7 +34,7 @@ def is_file(text: str) -> bool:
     return any(sign in text for sign in "./:")
 
 
-def goal_of(thing: FlowThing) -> tuple[str, model.Point | str] | None:
+def find_goal(thing: FlowThing) -> tuple[str, model.Point | str] | None:
     """Return the key and the value of a flow's target."""
     key = next((key for key in _GOALS if hasattr(thing, key)), None)
     return None if key is None else (key, getattr(thing, key))
@@ -57,9 +57,9 @@ def match_flow(scene: Scene, program: Program, report: Report, name: str, thing:
     for key in ("on", "border"):
         named: str | None = getattr(thing, key, None)
         if named is not None and named not in surfaces:
-            _unknown(report, scene, (name, key), "no surface is named", named, surfaces)
+            _report_unknown(report, scene, (name, key), "no surface is named", named, surfaces)
     if isinstance(thing, model.PaintedThing):
-        if thing.on is None and len(surfaces) > 1 and _own_surface(scene, surfaces, thing) is None:
+        if thing.on is None and len(surfaces) > 1 and _find_painted_surface(scene, surfaces, thing) is None:
             report.error(
                 "missing-key",
                 f"`{name}` does not say on which surface it is painted",
@@ -72,16 +72,16 @@ def match_flow(scene: Scene, program: Program, report: Report, name: str, thing:
         report.error("missing-key", words, scene.span("world", name, "gather", key=True), "add `radius: 50 mm`")
     if isinstance(thing, model.SolvedFlow):
         _match_solved(scene, program, report, name, thing)
-    key, text = goal_of(thing) or ("", "")
+    key, text = find_goal(thing) or ("", "")
     if not key or not isinstance(text, str):
         return None
     if is_file(text):
         return key, text
     lines_only = key == "tangent"
-    known = _goals(scene, program, lines_only)
-    if text not in known and (lines_only or not scene.model.items_come_later):
+    known = _goal_names(scene, program, lines_only)
+    if text not in known and (lines_only or not scene.model.has_usd_items):
         what = "no curve is named" if key == "tangent" else "no curve and no item is named"
-        _unknown(report, scene, (name, key), what, text, known)
+        _report_unknown(report, scene, (name, key), what, text, known)
     return None
 
 
@@ -89,7 +89,7 @@ def _match_solved(scene: Scene, program: Program, report: Report, name: str, thi
     maps = [n for n, t in program.world.items() if t.kind == "map"]
     for key in thing.maps:
         if key not in maps:
-            _unknown(report, scene, (name, "maps", key), "no map is named", key, maps)
+            _report_unknown(report, scene, (name, "maps", key), "no map is named", key, maps)
     dug = any(t.kind == "solid" for t in program.world.values())
     if thing.every is not None and not (thing.crowding or dug or _may_move(scene)):
         report.error(
@@ -107,7 +107,7 @@ def _may_move(scene: Scene) -> bool:
     return any(getattr(each, "keys", None) or hasattr(each, "usd") for each in things) or any("#" in p for p in paths if p)
 
 
-def _goals(scene: Scene, program: Program, lines_only: bool) -> list[str]:
+def _goal_names(scene: Scene, program: Program, lines_only: bool) -> list[str]:
     curves = [n for n, t in program.world.items() if t.kind == "curve"]
     if lines_only:
         return curves
@@ -115,14 +115,14 @@ def _goals(scene: Scene, program: Program, lines_only: bool) -> list[str]:
     return curves + list(items) + [item for group in items.values() for item in group]
 
 
-def _own_surface(scene: Scene, surfaces: list[str], thing: model.PaintedThing) -> str | None:
+def _find_painted_surface(scene: Scene, surfaces: list[str], thing: model.PaintedThing) -> str | None:
     """Return the surface with the paint in its own file."""
     meshes = {n: scene.model.world.get(n) for n in surfaces}
     own = [n for n, m in meshes.items() if thing.painted in (getattr(m, "mesh", None), getattr(m, "usd", None))]
     return own[0] if len(own) == 1 else None
 
 
-def _unknown(report: Report, scene: Scene, path: tuple[str, ...], what: str, name: str, known: list[str]) -> None:
+def _report_unknown(report: Report, scene: Scene, path: tuple[str, ...], what: str, name: str, known: list[str]) -> None:
     from antdsl.diagnostics.suggestion import nearest_name
 
     near = nearest_name(name, known)
@@ -142,11 +142,11 @@ def stage_flows(
     for name, declared in staging.program.world.items():
         thing = staging.scene.model.world.get(name)
         if declared.kind == "map" and isinstance(thing, model.PaintedThing):
-            painted = _painted(staging, name, thing, 1)
+            painted = _stage_painted(staging, name, thing, 1)
             if painted is not None:
                 maps[name] = painted
         elif declared.kind == "flow" and isinstance(thing, (model.FlowThing, model.PaintedThing)):
-            flow = _painted(staging, name, thing, 3) if isinstance(thing, model.PaintedThing) else _flow(
+            flow = _stage_painted(staging, name, thing, 3) if isinstance(thing, model.PaintedThing) else _stage_flow(
                 staging, name, thing, items, curves
             )  # fmt: skip
             if flow is not None:
@@ -154,7 +154,7 @@ def stage_flows(
     return flows, maps
 
 
-def _flow(
+def _stage_flow(
     staging: Staging,
     name: str,
     thing: model.FlowThing,
@@ -169,14 +169,14 @@ def _flow(
         within = mm(thing.within)
         assert within is not None
         return stage_of.BorderFlow(on or (thing.border,), within, thing.falloff, thing.strength, mm(thing.cell))
-    goal = goal_of(thing)
+    goal = find_goal(thing)
     assert goal is not None
-    target = _target(staging, name, goal[0], goal[1], items, curves)
+    target = _stage_target(staging, name, goal[0], goal[1], items, curves)
     if target is None:
         return None
     if isinstance(thing, model.SolvedFlow):
         model_ = staging.scene.model
-        every = _DEFAULT_EVERY if thing.every is None else thing.every.base(model_.unit_mm, float(1 / model_.fps))
+        every = _DEFAULT_EVERY if thing.every is None else thing.every.to_base_units(model_.unit_mm, float(1 / model_.fps))
         clearance = mm(thing.room) or 0.0
         return stage_of.SolvedFlow(
             target, thing.slope, clearance, dict(thing.maps), thing.crowding, every, thing.strength, mm(thing.cell), on
@@ -186,7 +186,7 @@ def _flow(
     return stage_of.SpreadFlow(direction, target, mm(thing.radius), thing.falloff, thing.strength, mm(thing.cell), on, gather)  # type: ignore[arg-type]
 
 
-def _target(
+def _stage_target(
     staging: Staging,
     name: str,
     key: str,
@@ -209,7 +209,7 @@ def _target(
     if not target_items:
         own = [(group, k) for group, each in items.items() for k, item in enumerate(each) if item.name == goal]
         if not own:
-            _no_target(staging, name, key, goal, items)
+            _report_no_target(staging, name, key, goal, items)
             return None
         of, which = own[0]
         target_items = (items[of][which],)
@@ -217,7 +217,9 @@ def _target(
     return Target(positions, radii, of=of, which=which)
 
 
-def _no_target(staging: Staging, name: str, key: str, goal: str, items: Mapping[str, tuple[stage_of.ItemData, ...]]) -> None:
+def _report_no_target(
+    staging: Staging, name: str, key: str, goal: str, items: Mapping[str, tuple[stage_of.ItemData, ...]]
+) -> None:
     """Report a goal that is no item, unless another message already explains it."""
     if not staging.report.ok:
         return
@@ -226,29 +228,29 @@ def _no_target(staging: Staging, name: str, key: str, goal: str, items: Mapping[
         staging.report.error("missing-thing", words, staging.scene.span("world", name, key), help)
         return
     known = [*items, *(item.name for each in items.values() for item in each)]
-    _unknown(staging.report, staging.scene, (name, key), "no curve and no item is named", goal, known)
+    _report_unknown(staging.report, staging.scene, (name, key), "no curve and no item is named", goal, known)
 
 
-def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int) -> stage_of.Painted | None:
+def _stage_painted(staging: Staging, name: str, thing: model.PaintedThing, width: int) -> stage_of.Painted | None:
     """Return the values of a map (width 1) or the vectors of a flow (3) on the vertices or faces of a surface as it is in the
     scene."""
     surfaces = [n for n, t in staging.program.world.items() if t.kind == "surface"]
-    surface = thing.on or _own_surface(staging.scene, surfaces, thing) or surfaces[0]
+    surface = thing.on or _find_painted_surface(staging.scene, surfaces, thing) or surfaces[0]
     raw, mesh = staging.raw.get(surface), staging.scene.model.world.get(surface)
     if isinstance(mesh, model.UsdThing) and mesh.usd == thing.painted:
-        values = usd_paint(staging, name, thing, mesh, width)
+        values = stage_usd_paint(staging, name, thing, mesh, width)
         return None if values is None else stage_of.Painted(surface, values, False)
-    data = staging.read(thing.painted, limits.MESH_BYTES, "world", name, "painted")
+    data = staging.read_file(thing.painted, limits.MESH_BYTES, "world", name, "painted")
     if data is None or raw is None or not isinstance(mesh, model.MeshThing | model.HeightThing):
         return None  # the problem was reported with the mesh
     span = staging.scene.span("world", name, "painted")
     attribute = name if thing.attribute is None else thing.attribute
     try:
-        rows = read_painted(data, thing.painted, attribute, width)
+        rows = read_painted_values(data, thing.painted, attribute, width)
     except PaintError as why:
         staging.report.error("bad-paint", f"`{thing.painted}` {why}", span, why.help)
         return None
-    own = _own_rows(rows, raw)
+    own = _select_used_rows(rows, raw)
     if own is None:
         vertices, faces = raw.counts
         staging.report.error(
@@ -264,11 +266,11 @@ def _painted(staging: Staging, name: str, thing: model.PaintedThing, width: int)
         up = staging.scene.model.up
         mirrored, own_up = (mesh.scale < 0, mesh.own_up or up) if isinstance(mesh, model.MeshThing) else (False, "y")
         values = values * (-1.0 if mirrored else 1.0)
-        values = shortened(rotated(turned_up(values, own_up, up), first_turn(staging, mesh)))
+        values = limit_length(rotate_points(rotate_up(values, own_up, up), first_rotation(staging, mesh)))
     return stage_of.Painted(surface, values if width == 3 else values[:, 0], of_faces)
 
 
-def _own_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[np.float64], bool] | None:
+def _select_used_rows(rows: NDArray[np.float64], raw: RawMesh) -> tuple[NDArray[np.float64], bool] | None:
     """Return the rows of the file's vertices or faces that are in the scene."""
     vertices, faces = raw.counts
     if len(rows) == vertices:

@@ -20,23 +20,30 @@ from antdsl.program.model import Program
 from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.closed import check_sides
-from antdsl.scene.geometry.heights import deviation, read_heights, surface_of
+from antdsl.scene.geometry.heights import height_surface, read_heights, surface_deviation
 from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import RawMesh, placed, read_mesh, sound, within_reach
+from antdsl.scene.geometry.meshes import RawMesh, check_mesh, mesh_within_limits, placed, read_mesh
 from antdsl.scene.geometry.points import POINT_BYTES, PointsError, read_points
 from antdsl.scene.library_bodies import BODY_WORDS
 from antdsl.scene.load import Scene
 from antdsl.scene.model import UNIT_MM, CurveThing, HeightThing, MeshThing, UsdCamera, UsdThing, millimetres
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
-from antdsl.scene.staging.item_placement import check_crowds, items_of
-from antdsl.scene.staging.mesh_imports import check_live, close_solid, mesh_imports, report_distances, report_losses, weld_thing
+from antdsl.scene.staging.item_placement import check_crowds, place_items
+from antdsl.scene.staging.mesh_imports import (
+    check_live_faces,
+    close_solid,
+    collect_imports,
+    report_distances,
+    report_losses,
+    weld_thing,
+)
 from antdsl.scene.staging.moves import MeshMoves, Moves
 from antdsl.scene.staging.size_checks import check_cells, check_scale, refuse_if_many
-from antdsl.scene.staging.stage_crowd import length, place, point, walk
+from antdsl.scene.staging.stage_crowd import length, place, stage_point, stage_walk
 from antdsl.scene.staging.stage_flows import check_densities, stage_flows
-from antdsl.scene.staging.stage_things import curve_places, moving_mesh, placed_moves, usd_camera, usd_mesh
+from antdsl.scene.staging.stage_things import place_moves, read_moving_mesh, stage_curve, stage_usd_camera, stage_usd_mesh
 
 _UP = {"y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
 
@@ -55,7 +62,7 @@ class Staging:
     closures: dict[str, Any] = field(default_factory=dict)  # USD files that were collected, by name
     welds: dict[str, int] = field(default_factory=dict)  # vertices that were moved onto others, by mesh
 
-    def read(self, text: str, cap: int, *path: Key) -> bytes | None:
+    def read_file(self, text: str, cap: int, *path: Key) -> bytes | None:
         """Return a file's bytes; or report an error at the path that names it and return None."""
         try:
             data = self.scene.roots.read(text, cap)
@@ -65,7 +72,7 @@ class Staging:
         self.hashes[text] = hashlib.blake2b(data, digest_size=16).hexdigest()
         return data
 
-    def beside(self, text: str) -> Callable[[str, int], bytes]:
+    def sibling_reader(self, text: str) -> Callable[[str, int], bytes]:
         """Return a reader of files that a file of the scene names relative to its own folder. It raises PathRefused for files
         elsewhere."""
         root, colon, path = text.rpartition(":")
@@ -81,7 +88,7 @@ class Staging:
 
     def points(self, text: str, least: int, *path: Key) -> NDArray[np.float64] | None:
         """Return at least `least` points of a JSON file, in the file's own units; or report an error and return None."""
-        data = self.read(text, POINT_BYTES, *path)
+        data = self.read_file(text, POINT_BYTES, *path)
         if data is None:
             return None
         try:
@@ -90,7 +97,7 @@ class Staging:
             self.report.error("bad-points", f"`{text}` {why}", self.scene.span(*path), "write `[[0, 0, 0], [50, 0, 0]]`")
             return None
 
-    def sequence(self, text: str, *path: Key) -> dict[int, str] | None:
+    def find_sequence(self, text: str, *path: Key) -> dict[int, str] | None:
         """Return the files of a path with `####` by frame; or report an error and return None."""
         try:
             return self.scene.roots.sequence(text)
@@ -105,17 +112,17 @@ def stage(
     """Return the setting, the report, and a hash of each file read. `overrides`: params from the user."""
     staging = Staging(scene, program)
     model = scene.model
-    surfaces = _meshes(staging, "surface")
-    check_live(staging, surfaces)
-    obstacles = _meshes(staging, "obstacle")
+    surfaces = _stage_meshes(staging, "surface")
+    check_live_faces(staging, surfaces)
+    obstacles = _stage_meshes(staging, "obstacle")
     for name, mesh in obstacles.items():
         check_sides(staging, name, mesh)
-    solids = _solids(staging)
+    solids = _stage_solids(staging)
     if staging.report.ok:
         check_cells(staging, {**surfaces, **{name: solid.mesh for name, solid in solids.items()}})
         check_scale(staging, surfaces, solids)
-    curves = _curves(staging)
-    laid = {name: entry for name in model.world if (entry := items_of(staging, name, surfaces)) is not None}
+    curves = _stage_curves(staging)
+    laid = {name: entry for name in model.world if (entry := place_items(staging, name, surfaces)) is not None}
     items = {name: entry for name, (entry, _) in laid.items()}
     flows, maps = stage_flows(staging, items, {name: entry[0] for name, entry in curves.items()})
     item_points = {item.name: item.position for group in items.values() for item in group} | {
@@ -127,7 +134,7 @@ def stage(
             line.count,
             place(staging, item_points, line.place, "crowd", number, "place"),
             number,
-            walk(scene, line.walk),
+            stage_walk(scene, line.walk),
             line.body if line.body and line.body in BODY_WORDS else "",
             line.layers(),
         )
@@ -135,10 +142,12 @@ def stage(
     )
     check_densities(staging, maps)
     check_crowds(staging, crowds, surfaces, solids)
-    camera = usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None
+    camera = stage_usd_camera(staging, model.camera) if isinstance(model.camera, UsdCamera) else None
     starts = {
         name: stage_of.FieldStart(
-            start.start, point(staging, item_points, start.around, start.radius, "fields", name), length(scene, start.radius)
+            start.start,
+            stage_point(staging, item_points, start.around, start.radius, "fields", name),
+            length(scene, start.radius),
         )
         for name, start in model.fields.items()
     }
@@ -146,7 +155,7 @@ def stage(
         return None, staging.report, staging.hashes
     dt = float(1 / model.fps)
     param_values = {**model.set, **(overrides or {})}
-    params = {name: value.base(model.unit_mm, dt) for name, value in param_values.items() if name in program.params}
+    params = {name: value.to_base_units(model.unit_mm, dt) for name, value in param_values.items() if name in program.params}
     setting = stage_of.Setting(
         fps=model.fps,
         substeps=model.substeps,
@@ -174,9 +183,9 @@ def stage(
             curves={name: entry for name, entry in curves.items() if len(entry) > 1},
         ),
         camera=camera,
-        detail=_detail(scene, camera),
+        detail=_stage_detail(scene, camera),
         deviations=staging.deviations,
-        imports=mesh_imports(staging, {**surfaces, **obstacles, **{name: solid.mesh for name, solid in solids.items()}}),
+        imports=collect_imports(staging, {**surfaces, **obstacles, **{name: solid.mesh for name, solid in solids.items()}}),
         spans={name: scene.span("world", name) for name in model.world},
     )
     report_distances(staging, setting)
@@ -186,11 +195,11 @@ def stage(
 def import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
     """Return the report on each mesh that can be read, even if the scene has errors."""
     staging = Staging(scene, program)
-    still = {**_meshes(staging, "surface"), **_meshes(staging, "obstacle")}
-    return mesh_imports(staging, {**still, **{name: solid.mesh for name, solid in _solids(staging).items()}})
+    still = {**_stage_meshes(staging, "surface"), **_stage_meshes(staging, "obstacle")}
+    return collect_imports(staging, {**still, **{name: solid.mesh for name, solid in _stage_solids(staging).items()}})
 
 
-def _detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.DetailData | None:
+def _stage_detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.DetailData | None:
     """`camera`: one that a file brought."""
     model = scene.model
     if model.lod is None or model.camera is None or isinstance(model.camera, str):
@@ -204,31 +213,35 @@ def _detail(scene: Scene, camera: stage_of.CameraData | None) -> stage_of.Detail
     return stage_of.DetailData(camera_positions, near, float("inf") if far is None else far, model.frames.first)
 
 
-def _meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
+def _stage_meshes(staging: Staging, kind: str) -> dict[str, stage_of.MeshData]:
     meshes = {}
     for name, thing in staging.program.world.items():
         value = staging.scene.model.world.get(name)
         if thing.kind == kind and isinstance(value, MeshThing | HeightThing | UsdThing):
-            mesh = _mesh(staging, name, value)
+            mesh = _stage_mesh(staging, name, value)
             if mesh is not None:
                 meshes[name] = mesh
     return meshes
 
 
-def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
+def _stage_mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
     """Return a mesh as at the first frame; its motion goes into `staging.moves`."""
     scene, report = staging.scene, staging.report
     up, unit_mm = scene.model.up, scene.model.unit_mm
     if isinstance(value, UsdThing):
         key, display_name, factor, own_up = "prim", value.path, value.scale, up
-        geometry = usd_mesh(staging, name, value)
+        geometry = stage_usd_mesh(staging, name, value)
     elif isinstance(value, HeightThing):
         key, display_name, factor, own_up = "height", value.height, 1.0, "y"
-        geometry = _heights(staging, name, value)
+        geometry = _read_height_mesh(staging, name, value)
     else:
         key, display_name = "mesh", value.mesh
         factor, own_up = UNIT_MM[value.units or value.own_units or scene.model.units] * value.scale, value.own_up or up
-        geometry = moving_mesh(staging, name, value) if scene.roots.is_sequence(value.mesh) else _still_mesh(staging, name, value)
+        geometry = (
+            read_moving_mesh(staging, name, value)
+            if scene.roots.is_sequence(value.mesh)
+            else _read_still_mesh(staging, name, value)
+        )
     if geometry is None:
         return None
     raw, inner = geometry
@@ -242,10 +255,10 @@ def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing
             angles=tuple(angle.number for angle in value.rotate) if value.rotate else (0.0, 0.0, 0.0),  # type: ignore[arg-type]
             at=millimetres(value.at, unit_mm) if value.at else (0.0, 0.0, 0.0),
         )
-        moving = placed_moves(staging, value, raw, inner, factor, own_up)
+        moving = place_moves(staging, value, raw, inner, factor, own_up)
         if moving is not None:
             rest, moves = moving
-            mesh = within_reach(rest, mesh.faces)
+            mesh = mesh_within_limits(rest, mesh.faces)
             if moves is not None:
                 staging.moves[name] = moves
     except MeshError as why:
@@ -257,12 +270,12 @@ def _mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing
     return mesh
 
 
-def _still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
-    data = staging.read(value.mesh, limits.MESH_BYTES, "world", name, "mesh")
+def _read_still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
+    data = staging.read_file(value.mesh, limits.MESH_BYTES, "world", name, "mesh")
     if data is None:
         return None
     try:
-        return read_mesh(data, value.mesh, value.group, staging.beside(value.mesh)), None
+        return read_mesh(data, value.mesh, value.group, staging.sibling_reader(value.mesh)), None
     except PathRefused as refused:
         words = f"the mesh `{value.mesh}` names a buffer: {refused}"
         staging.report.error(refused.code, words, staging.scene.span("world", name, "mesh"), refused.help)
@@ -273,9 +286,9 @@ def _still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
         return None
 
 
-def _heights(staging: Staging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
+def _read_height_mesh(staging: Staging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
     """A surface of samples, in mm, y up."""
-    data = staging.read(value.height, limits.MESH_BYTES, "world", name, "height")
+    data = staging.read_file(value.height, limits.MESH_BYTES, "world", name, "height")
     if data is None:
         return None
     unit_mm = staging.scene.model.unit_mm
@@ -283,19 +296,19 @@ def _heights(staging: Staging, name: str, value: HeightThing) -> tuple[RawMesh, 
     try:
         heights = offset + value.scale.length(unit_mm) * read_heights(data, value.height, value.array, value.layer)
         x, z = (side.length(unit_mm) for side in value.extent)
-        raw = sound(*surface_of(heights, (x, z)))
+        raw = check_mesh(*height_surface(heights, (x, z)))
     except MeshError as why:
         span = staging.scene.span("world", name, "height")
         staging.report.error("bad-mesh", f"the heights `{value.height}` {why}", span, why.help)
         return None
-    staging.deviations[name] = deviation(heights)
+    staging.deviations[name] = surface_deviation(heights)
     return raw, None
 
 
-def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
+def _stage_solids(staging: Staging) -> dict[str, stage_of.SolidData]:
     """Return the solids. A request for too many voxels is rejected before any is created."""
     scene, solids = staging.scene, {}
-    for name, mesh in _meshes(staging, "solid").items():
+    for name, mesh in _stage_meshes(staging, "solid").items():
         value = scene.model.world[name]
         # without a voxel: complained about when the scene was matched
         if not isinstance(value, MeshThing | UsdThing) or value.voxel is None:
@@ -311,13 +324,13 @@ def _solids(staging: Staging) -> dict[str, stage_of.SolidData]:
     return solids
 
 
-def _curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
+def _stage_curves(staging: Staging) -> dict[str, NDArray[np.float64]]:
     """Return the points (frames, k, 3) of each curve, a single frame if it is static."""
     curves = {}
     for name, value in staging.scene.model.world.items():
         thing = staging.program.world.get(name)
         if isinstance(value, CurveThing) or (isinstance(value, UsdThing) and thing is not None and thing.kind == "curve"):
-            positions = curve_places(staging, name, value)
+            positions = stage_curve(staging, name, value)
             if positions is not None:
                 curves[name] = positions
     return curves

@@ -14,9 +14,9 @@ from antdsl.scene import setting as stage_of
 from antdsl.scene.crowd_model import UsdPlaces
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.matrices import applied, has_inverse
+from antdsl.scene.geometry.matrices import apply_transforms, has_inverse
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.meshes import RawMesh, mesh_arrays, rotated, sound, turned_up
+from antdsl.scene.geometry.meshes import RawMesh, check_mesh, mesh_arrays, rotate_points, rotate_up
 from antdsl.scene.model import (
     UNIT_MM,
     CurveThing,
@@ -46,19 +46,19 @@ T = TypeVar("T")
 # ---- frames
 
 
-def frames_of(staging: Staging) -> range:
+def simulated_frames(staging: Staging) -> range:
     """Return the simulated frames, including the preroll. At the first, meshes are at rest."""
     model = staging.scene.model
     return range(model.frames.first - model.preroll, model.frames.last + 1)
 
 
-def sequence(staging: Staging, text: str, *path: Key) -> list[str] | None:
+def files_per_frame(staging: Staging, text: str, *path: Key) -> list[str] | None:
     """Return the file of each frame if a path has `####`. The first and last existing files hold outside."""
-    files = staging.sequence(text, *path)
+    files = staging.find_sequence(text, *path)
     if files is None:
         return None
     numbers = list(files)
-    frames = frames_of(staging)
+    frames = simulated_frames(staging)
     used = [files.get(min(max(frame, numbers[0]), numbers[-1])) for frame in frames]
     if None in used:
         frame = frames[used.index(None)]
@@ -72,7 +72,7 @@ def sequence(staging: Staging, text: str, *path: Key) -> list[str] | None:
 # ---- keys
 
 
-def key_places(
+def interpolate_keys(
     keys: Mapping[int, PlaceKey], own_at: Point | None, own_turn: Turn | None, frames: Sequence[int], unit_mm: float
 ) -> tuple[Floats, Floats] | None:
     """Return position (frames, 3) in mm and rotation (frames, 3) in radians at each frame, or None without keys. What no key
@@ -85,10 +85,10 @@ def key_places(
         at = {0: millimetres(own_at, unit_mm) if own_at else (0.0, 0.0, 0.0)}
     if not turn:
         turn = {0: tuple(a.number for a in own_turn) if own_turn else (0.0, 0.0, 0.0)}
-    return _between(at, frames), _between(turn, frames)
+    return _interpolate(at, frames), _interpolate(turn, frames)
 
 
-def _between(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Floats:
+def _interpolate(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -> Floats:
     times = sorted(keys)
     values = np.array([keys[time] for time in times], np.float64)
     return np.stack([np.interp(np.array(frames, np.float64), times, values[:, axis]) for axis in range(3)], axis=1)
@@ -98,14 +98,14 @@ def _key_transforms(
     staging: Staging, value: MeshThing | HeightThing | UsdThing | CurveThing, factor: float, own_up: str
 ) -> Floats | None:
     """Return the transforms (frames, 3, 4) of a file's positions into the scene, if the scene has keys for it."""
-    model, frames = staging.scene.model, frames_of(staging)
-    placed = key_places(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
+    model, frames = staging.scene.model, simulated_frames(staging)
+    placed = interpolate_keys(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
     if placed is None:
         return None
-    axes = turned_up(np.eye(3) * factor, own_up, model.up)
+    axes = rotate_up(np.eye(3) * factor, own_up, model.up)
     transforms = np.empty((len(frames), 3, 4))
     for k, (at, turn) in enumerate(zip(*placed, strict=True)):
-        transforms[k, :, :3] = rotated(axes, (float(turn[0]), float(turn[1]), float(turn[2]))).T
+        transforms[k, :, :3] = rotate_points(axes, (float(turn[0]), float(turn[1]), float(turn[2]))).T
         transforms[k, :, 3] = at
     return transforms
 
@@ -113,9 +113,9 @@ def _key_transforms(
 # ---- meshes
 
 
-def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, MeshMoves | None] | None:
+def read_moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, MeshMoves | None] | None:
     """Return a mesh from files per frame, and the motion of its vertices in the file's own units and axes."""
-    files = sequence(staging, value.mesh, "world", name, "mesh")
+    files = files_per_frame(staging, value.mesh, "world", name, "mesh")
     if files is None:
         return None
     span = staging.scene.span("world", name, "mesh")
@@ -125,14 +125,14 @@ def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
         if file in read and positions is not None:
             positions[k] = read[file]
             continue
-        data = staging.read(file, limits.MESH_BYTES, "world", name, "mesh")
+        data = staging.read_file(file, limits.MESH_BYTES, "world", name, "mesh")
         if data is None:
             return None
         try:
             notes = ImportNotes()
-            vertices, faces = mesh_arrays(data, file, value.group, staging.beside(file), notes)
+            vertices, faces = mesh_arrays(data, file, value.group, staging.sibling_reader(file), notes)
             if raw is None or positions is None or first is None:
-                raw, first = sound(vertices, faces, notes), faces
+                raw, first = check_mesh(vertices, faces, notes), faces
                 size = len(files) * len(raw.vertices) * 48
                 if size > limits.MOVES_BYTES:
                     words = f"{len(files):,} frames of `{value.mesh}` would take {size / limits.GIB:.1f} GiB"
@@ -157,11 +157,11 @@ def moving_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh,
     return raw, None if (positions == positions[0]).all() else MeshMoves.free(positions)
 
 
-def usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMesh, MeshMoves | None] | None:
+def stage_usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMesh, MeshMoves | None] | None:
     """The meshes below a prim, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
-    mesh = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_mesh)
+    mesh = _read_usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_mesh)
     if mesh is None:
         return None
     if mesh.passed_over:
@@ -170,7 +170,7 @@ def usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMesh, Mes
     return mesh.raw, mesh.moves
 
 
-def placed_moves(
+def place_moves(
     staging: Staging, value: MeshThing | HeightThing | UsdThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
 ) -> tuple[Floats, MeshMoves | None] | None:
     """Return the vertices at rest and the motion of a mesh that moves in its file, by keys, or both; None if it does not move."""
@@ -180,27 +180,27 @@ def placed_moves(
     if transforms is None:  # one key anywhere: the thing's own place at all frames
         transforms = _key_transforms(staging, value.model_copy(update={"keys": {0: PlaceKey()}}), factor, own_up)
     assert transforms is not None and has_inverse(transforms[0])
-    rest = applied(transforms[0], raw.vertices)
+    rest = apply_transforms(transforms[0], raw.vertices)
     if inner is not None:
         return rest, inner.placed(transforms)
     return rest, None if (transforms == transforms[0]).all() else MeshMoves.rigid(transforms, len(rest))
 
 
-def first_turn(staging: Staging, value: MeshThing | HeightThing | UsdThing) -> tuple[float, float, float]:
+def first_rotation(staging: Staging, value: MeshThing | HeightThing | UsdThing) -> tuple[float, float, float]:
     """Return the rotation of a mesh at the first frame, radians about x, then y, then z."""
-    placed = key_places(value.keys, value.at, value.rotate, frames_of(staging)[:1], staging.scene.model.unit_mm)
+    placed = interpolate_keys(value.keys, value.at, value.rotate, simulated_frames(staging)[:1], staging.scene.model.unit_mm)
     if placed is not None:
         x, y, z = placed[1][0].tolist()
         return x, y, z
     return (value.rotate[0].number, value.rotate[1].number, value.rotate[2].number) if value.rotate else (0.0, 0.0, 0.0)
 
 
-def shortened(vectors: Floats) -> Floats:
+def limit_length(vectors: Floats) -> Floats:
     """Vectors (n, 3), those longer than 1 cut to 1."""
     return np.asarray(vectors / np.maximum(np.sqrt((vectors * vectors).sum(axis=1)), 1.0)[:, None])
 
 
-def usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdThing, width: int) -> Floats | None:
+def stage_usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdThing, width: int) -> Floats | None:
     """Return a primvar on the vertices of a surface from the same USD file: numbers (width 1) or vectors (3) in the scene."""
     from antdsl.scene.geometry.usd import read_usd_mesh
 
@@ -209,7 +209,7 @@ def usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdThing, 
     if not isinstance(attribute, str):
         staging.report.error("bad-paint", "a primvar has one name", span, f"write `attribute: {attribute[0]}`")
         return None
-    painted_mesh = _usd(
+    painted_mesh = _read_usd(
         staging, mesh.usd, mesh.path, mesh.purpose, ("world", name), lambda stage: read_usd_mesh(stage, [attribute])
     )
     if painted_mesh is None:
@@ -224,24 +224,24 @@ def usd_paint(staging: Staging, name: str, thing: PaintedThing, mesh: UsdThing, 
         return None
     if width == 1:
         return values
-    return shortened(rotated(values * (-1.0 if mesh.scale < 0 else 1.0), first_turn(staging, mesh)))
+    return limit_length(rotate_points(values * (-1.0 if mesh.scale < 0 else 1.0), first_rotation(staging, mesh)))
 
 
 # ---- curves
 
 
-def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> Floats | None:
+def stage_curve(staging: Staging, name: str, value: CurveThing | UsdThing) -> Floats | None:
     """Return the points (frames, k, 3) of a curve, one frame if it is static."""
 
     model = staging.scene.model
     if isinstance(value, UsdThing):
         from antdsl.scene.geometry.usd import read_usd_curve
 
-        positions = _usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
+        positions = _read_usd(staging, value.usd, value.path, value.purpose, ("world", name), read_usd_curve)
         factor, own_up = value.scale, model.up
     else:
         files = (
-            sequence(staging, value.curve, "world", name, "curve")
+            files_per_frame(staging, value.curve, "world", name, "curve")
             if staging.scene.roots.is_sequence(value.curve)
             else [value.curve]
         )
@@ -267,20 +267,20 @@ def curve_places(staging: Staging, name: str, value: CurveThing | UsdThing) -> F
         angles = value.rotate if isinstance(value, UsdThing) and value.rotate else None
         at = np.array(millimetres(value.at, model.unit_mm) if value.at else (0.0, 0.0, 0.0))
         turn = tuple(a.number for a in angles) if angles else (0.0, 0.0, 0.0)
-        return np.stack([rotated(turned_up(line * factor, own_up, model.up), turn) + at for line in positions])  # type: ignore[arg-type]
+        return np.stack([rotate_points(rotate_up(line * factor, own_up, model.up), turn) + at for line in positions])  # type: ignore[arg-type]
     count = max(len(positions), len(transforms))
     return np.stack(
-        [applied(transforms[min(k, len(transforms) - 1)], positions[min(k, len(positions) - 1)]) for k in range(count)]
+        [apply_transforms(transforms[min(k, len(transforms) - 1)], positions[min(k, len(positions) - 1)]) for k in range(count)]
     )
 
 
 # ---- items
 
 
-def item_places(staging: Staging, name: str, item: str, thing: ItemThing) -> Floats:
+def item_positions(staging: Staging, name: str, item: str, thing: ItemThing) -> Floats:
     """Return the positions (frames, 3) of an item by its keys, in mm; one frame if it has none."""
     unit_mm = staging.scene.model.unit_mm
-    placed = key_places(thing.keys, thing.at, None, frames_of(staging), unit_mm)
+    placed = interpolate_keys(thing.keys, thing.at, None, simulated_frames(staging), unit_mm)
     if placed is None:
         return np.array([millimetres(thing.at, unit_mm)])
     if any(key.rotate is not None for key in thing.keys.values()):
@@ -290,14 +290,14 @@ def item_places(staging: Staging, name: str, item: str, thing: ItemThing) -> Flo
     return placed[0]
 
 
-def usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
+def stage_usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
     """Return the points below a prim, or the empties of a kind, moved as the scene says."""
     from dataclasses import replace
 
     from antdsl.scene.geometry.usd import read_usd_points
 
     kind = name if value.kind is None and value.prim is None else value.kind
-    points = _usd(staging, value.usd, value.path, value.purpose, ("world", name), lambda stage: read_usd_points(stage, kind))
+    points = _read_usd(staging, value.usd, value.path, value.purpose, ("world", name), lambda stage: read_usd_points(stage, kind))
     if points is None:
         return None
     transforms = _key_transforms(staging, value, value.scale, staging.scene.model.up)
@@ -309,24 +309,26 @@ def usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints | None:
         transforms = transforms[:1]
     count = max(len(points.positions), len(transforms))
     moved = [
-        applied(transforms[min(k, len(transforms) - 1)], points.positions[min(k, len(points.positions) - 1)])
+        apply_transforms(transforms[min(k, len(transforms) - 1)], points.positions[min(k, len(points.positions) - 1)])
         for k in range(count)
     ]
-    ahead = applied(np.concatenate([transforms[0][:, :3], np.zeros((3, 1))], axis=1), points.ahead) * np.sign(value.scale)
+    ahead = apply_transforms(np.concatenate([transforms[0][:, :3], np.zeros((3, 1))], axis=1), points.ahead) * np.sign(
+        value.scale
+    )
     return replace(points, positions=np.stack(moved), radius=points.radius * abs(value.scale), ahead=ahead)
 
 
-def usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> UsdPoints | None:
+def stage_usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> UsdPoints | None:
     """Return the points or empties of a crowd line, in mm and the scene's axes."""
     from antdsl.scene.geometry.usd import read_usd_points
 
     species = staging.scene.model.crowd[int(path[1])].species
     kind = species if value.kind is None and value.prim is None else value.kind
     place = (*path, "points")
-    return _usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
+    return _read_usd(staging, value.usd, value.prim or "/", "render", place, lambda stage: read_usd_points(stage, kind))
 
 
-def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> Floats:
+def follow_surface(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> Floats:
     """Return the position of a point of a moving surface at each frame (frames, 3): it stays on its triangle."""
     corners = mesh.vertices[mesh.faces]
     a, b, c = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -341,7 +343,7 @@ def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> 
     face = int(off.argmin())
     positions = []
     for k in range(moves.frames):
-        p = moves.vertices(mesh.vertices, k)[mesh.faces[face]]
+        p = moves.vertices_at(mesh.vertices, k)[mesh.faces[face]]
         positions.append(p[0] + w1[face] * (p[1] - p[0]) + w2[face] * (p[2] - p[0]))
     return np.array(positions)
 
@@ -349,7 +351,9 @@ def riding(mesh: stage_of.MeshData, moves: MeshMoves, place: stage_of.Point) -> 
 # ---- USD
 
 
-def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, ...], read: Callable[[UsdStage], T]) -> T | None:
+def _read_usd(
+    staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, ...], read: Callable[[UsdStage], T]
+) -> T | None:
     """Return a reader's result at a prim; or report an error at its location in the scene and return None."""
     from antdsl.scene.geometry.usd import UsdError, open_stage
 
@@ -360,7 +364,7 @@ def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, 
             text,
             prim,
             up=model.up,
-            frames=frames_of(staging),
+            frames=simulated_frames(staging),
             fps=model.fps,
             purpose=purpose,
             closures=staging.closures,
@@ -377,11 +381,11 @@ def _usd(staging: Staging, text: str, prim: str, purpose: str, path: tuple[Key, 
     return None
 
 
-def usd_camera(staging: Staging, value: UsdCamera) -> stage_of.CameraData | None:
+def stage_usd_camera(staging: Staging, value: UsdCamera) -> stage_of.CameraData | None:
     """A camera prim over the written frames."""
     from antdsl.scene.geometry.usd import read_usd_camera
 
-    camera = _usd(staging, value.usd, value.prim, "render", ("camera",), read_usd_camera)
+    camera = _read_usd(staging, value.usd, value.prim, "render", ("camera",), read_usd_camera)
     if camera is None:
         return None
     written_frames = slice(staging.scene.model.preroll if len(camera.at) > 1 else 0, None)

@@ -13,7 +13,7 @@ from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Dim
 from antdsl.program.tables.units import dimension_words, with_unit
-from antdsl.scene.quantities import BadQuantity, parse_quantity
+from antdsl.scene.quantities import QuantityError, parse_quantity
 from antdsl.source import Span
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class UsdFile:
     points: UsdPoints
 
 
-def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
+def read_in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
     """Return the file's values of an attribute (n,), nan where it has none. Numbers are in the file's unit of length, degrees and
     seconds; words are numbers with a unit as in a scene."""
     points, report = file.points, file.staging.report
@@ -47,7 +47,7 @@ def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
         where = f"`{key}` of `{points.names[number]}` in `{file.name}`"
         try:
             quantity = parse_quantity(text)
-        except BadQuantity as why:
+        except QuantityError as why:
             help = why.help or f"write a number, or one with a unit: `{with_unit(1, dim)}`"
             report.error("bad-usd", f"{where} says `{text}`, which {why}", file.span, help)
             return column
@@ -55,7 +55,7 @@ def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
             words = f"{where} says `{text}`, and `{key}` is {dimension_words(dim)}"
             report.error("wrong-unit", words, file.span, f"write it like `{with_unit(1, dim)}`")
             return column
-        column[number] = quantity.base(model.unit_mm, float(1 / model.fps))
+        column[number] = quantity.to_base_units(model.unit_mm, float(1 / model.fps))
     if (np.abs(column) > limits.LARGEST).any():
         most = points.names[int(np.nanargmax(np.abs(column)))]
         report.error(
@@ -65,7 +65,7 @@ def in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]:
     return column
 
 
-def tell_near_misses(file: UsdFile, of: str, known: Collection[str]) -> None:
+def warn_near_misses(file: UsdFile, of: str, known: Collection[str]) -> None:
     """Warn about properties of the file that no attribute takes but that are spelled almost like one. Other properties belong to
     other programs."""
     keys = sorted({*file.points.values, *file.points.texts} - {*known, "kind", "name"})

@@ -47,7 +47,7 @@ class Goldens:
             self.recorders[key] = (run, Recorder(run, result, frames))
             return self.recorders[key][1]
         golden_file = self._read_golden(scene)
-        golden = None if golden_file is None else _of(golden_file, result)
+        golden = None if golden_file is None else _find_golden_run(golden_file, result)
         if golden_file is None or golden is None or not golden.frames:
             return None
         self.results.append(result)
@@ -86,5 +86,5 @@ class Goldens:
         write_golden(path, [*others, *runs])
 
 
-def _of(golden_file: Golden, result: GoldenResult) -> GoldenRun | None:
+def _find_golden_run(golden_file: Golden, result: GoldenResult) -> GoldenRun | None:
     return next((run for run in golden_file.runs if run.set == dict(result.changes) and run.seed == result.seed), None)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from antdsl.program.model import Kind, Program, Type
 from antdsl.program.names.scope import type_from_words
-from antdsl.program.tables.units import unit_of
+from antdsl.program.tables.units import default_unit
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES
 from antdsl.runtime.world import Population, World
 from antdsl.specs.aggregates import exact_total
@@ -100,21 +100,21 @@ def columns(world: World, program: Program) -> dict[str, Column]:
     """All that a state consists of, by key."""
     column_list: list[Column] = []
     for name in sorted(world.populations):
-        column_list += _of_agents(world, program, world.populations[name])
+        column_list += _agent_columns(world, program, world.populations[name])
     for name, items in sorted(world.items.items()):
         ids = np.arange(len(items))
         column_list += [Column(name, key, 2, ids, amounts, names=items.names) for key, amounts in sorted(items.amounts.items())]
     for name, field in sorted(world.fields.items()):
         values = np.asarray(field.values, np.float64)
         column_list.append(Column(name, "", 3, np.arange(len(values)), values))
-    for name, parts in sorted(_digests(world).items()):
+    for name, parts in sorted(_part_digests(world).items()):
         column_list.append(Column(name, "", 3, np.zeros(1, np.int64), np.frombuffer(parts[:8], np.uint64), opaque=True))
     for name, value in sorted(world.params.items()):
         column_list.append(Column(name, "", 0, np.zeros(1, np.int64), np.array([value], np.float32)))
     return {column.key: column for column in column_list}
 
 
-def _digests(world: World) -> dict[str, bytes]:
+def _part_digests(world: World) -> dict[str, bytes]:
     from hashlib import sha256
 
     digests = {name: volume.digest() for name, volume in world.solids.items()}
@@ -125,7 +125,7 @@ def _digests(world: World) -> dict[str, bytes]:
     return digests
 
 
-def _of_agents(world: World, program: Program, population: Population) -> list[Column]:
+def _agent_columns(world: World, program: Program, population: Population) -> list[Column]:
     """Return columns of what an author knows by a name. The rest, memories and footings, is combined in one column."""
     rows = population.in_id_order()
     ids, name = population.ids[rows], population.name
@@ -136,7 +136,7 @@ def _of_agents(world: World, program: Program, population: Population) -> list[C
     for key, register in sorted(population.plan.registers.items()):
         if register.role == "temp":
             continue
-        column = _column(name, key, mine, ids, population.now[key][rows])
+        column = _make_column(name, key, mine, ids, population.now[key][rows])
         if column is None:
             rest = rest * _MIX + Column(name, key, 9, ids, population.now[key][rows]).bits()
         else:
@@ -150,7 +150,7 @@ def _of_agents(world: World, program: Program, population: Population) -> list[C
     return [*agent_columns, Column(name, "memory", 9, ids, rest, opaque=True)]
 
 
-def _column(who: str, key: str, mine: dict[str, Type], ids: NDArray[np.int64], values: NDArray[Any]) -> Column | None:
+def _make_column(who: str, key: str, mine: dict[str, Type], ids: NDArray[np.int64], values: NDArray[Any]) -> Column | None:
     machine, _, word = key.rpartition(".")
     if word == "state" and machine:
         what = "state" if machine == "main" else key
@@ -161,20 +161,20 @@ def _column(who: str, key: str, mine: dict[str, Type], ids: NDArray[np.int64], v
         rank = 4 + _MOVING.index(base) if base in _MOVING else 1
         if type.kind is Kind.VECTOR:
             type = Type(Kind.NUMBER, type.dim)
-        return Column(who, base + axis, rank, ids, values, type, unit_of(type.dim) if type.kind is Kind.NUMBER else "")
+        return Column(who, base + axis, rank, ids, values, type, default_unit(type.dim) if type.kind is Kind.NUMBER else "")
     return None
 
 
-def digest(world: World, population: Population, program: Program) -> str:
-    """Return four hexadecimal digits for each of the agents that `sampled` names."""
+def agents_digest(world: World, population: Population, program: Program) -> str:
+    """Return four hexadecimal digits for each of the agents that `sample_places` names."""
     mixed = np.zeros(len(population), np.uint64)
-    for column in _of_agents(world, program, population):
+    for column in _agent_columns(world, program, population):
         mixed = (mixed ^ column.bits()) * _MIX
-    picked = sampled(len(population))
+    picked = sample_places(len(population))
     return (mixed >> np.uint64(48)).astype(">u2")[picked].tobytes().hex()
 
 
-def sampled(count: int) -> NDArray[np.int64]:
+def sample_places(count: int) -> NDArray[np.int64]:
     """Return which of `count` agents a digest distinguishes, by index in the order of ids."""
     return np.unique(np.arange(SAMPLED) * count // SAMPLED) if count else np.zeros(0, np.int64)
 
@@ -198,7 +198,7 @@ class Difference:
         return f"{name} differs"
 
 
-def differences(
+def find_differences(
     world: World, program: Program, was: Mapping[str, tuple[str, str, str]], agents: Mapping[str, str]
 ) -> list[Difference]:
     """Return all attributes that differ, the most informative first. `was`: sums and words by key; `agents`: digests by
@@ -208,7 +208,7 @@ def differences(
         name: _name_differing(world, program, name, text) for name, text in agents.items() if name in world.populations
     }
     ranked_differences: list[tuple[int, Difference]] = []
-    others = {name: len(world.populations[name]) for name in world.populations if _are_others(now, was, name)}
+    others = {name: len(world.populations[name]) for name in world.populations if _has_other_agents(now, was, name)}
     ranked_differences += [(0, Difference(name, "", "", f"{count} agents", "others")) for name, count in others.items()]
     for key, column in now.items():
         if column.who in others:
@@ -219,7 +219,7 @@ def differences(
         first, second, words = was[key]
         sums = (int(first, 16), int(second, 16))
         if column.sums() != sums:
-            ranked_differences.append((column.rank, _difference(world, column, sums, words, differing_agents)))
+            ranked_differences.append((column.rank, _describe_difference(world, column, sums, words, differing_agents)))
     for key in was.keys() - now.keys():
         who, _, what = key.partition(".")
         ranked_differences.append((0, Difference(who, what, "", "not there", "there")))
@@ -227,13 +227,13 @@ def differences(
     return [difference for _, difference in ranked_differences]
 
 
-def _are_others(now: Mapping[str, Column], was: Mapping[str, tuple[str, str, str]], species: str) -> bool:
+def _has_other_agents(now: Mapping[str, Column], was: Mapping[str, tuple[str, str, str]], species: str) -> bool:
     """Return whether the agents are not the same as before: then their values cannot be compared."""
     key = f"{species}.id"
     return key in now and key in was and now[key].sums() != (int(was[key][0], 16), int(was[key][1], 16))
 
 
-def _difference(
+def _describe_difference(
     world: World, column: Column, sums: tuple[int, int], words: str, differing_agents: Mapping[str, str]
 ) -> Difference:
     one = column.one(sums)
@@ -242,15 +242,15 @@ def _difference(
         return Difference(
             column.who,
             column.what,
-            _name(column, row),
+            _member_name(column, row),
             column.format_value(world, column.values[row]),
             column.format_value(world, previous_value),
         )
-    member = _name(column, one[0]) if one is not None else differing_agents.get(column.who, "")
+    member = _member_name(column, one[0]) if one is not None else differing_agents.get(column.who, "")
     return Difference(column.who, column.what, member, column.summary(world), words)
 
 
-def _name(column: Column, row: int) -> str:
+def _member_name(column: Column, row: int) -> str:
     if column.names:
         return column.names[row]
     if not column.what and len(column.ids) == 1:
@@ -261,7 +261,7 @@ def _name(column: Column, row: int) -> str:
 def _name_differing(world: World, program: Program, name: str, text: str) -> str:
     """Return which of the agents in a digest differ; empty if the digest is not about the same agents."""
     population = world.populations[name]
-    rows, now = sampled(len(population)), digest(world, population, program)
+    rows, now = sample_places(len(population)), agents_digest(world, population, program)
     if len(now) != len(text):
         return ""
     ids = population.ids[population.in_id_order()][rows]

@@ -22,7 +22,7 @@ from antdsl.bounded import TooLarge, read_bounded
 from antdsl.program.model import Program
 from antdsl.runtime import World, state_hash
 from antdsl.specs.cases import Run
-from antdsl.specs.golden.fingerprints import Difference, columns, differences, digest
+from antdsl.specs.golden.fingerprints import Difference, agents_digest, columns, find_differences
 from antdsl.whole import write_atomically
 
 STATIONS = 48
@@ -153,7 +153,7 @@ class Recorder:
     def look(self, world: World) -> None:
         frame = Frame(frame=world.frame, hash=state_hash(world))
         if len(self.frames) % self.every == 0:
-            sums_by_key = _sums(world, self.program)
+            sums_by_key = _column_sums(world, self.program)
             frame.parts = {key: sums for key, sums in sums_by_key.items() if self.known.get(key) != sums}
             frame.parts |= {key: ("", "", "") for key in self.known.keys() - sums_by_key.keys()}
             frame.agents = _digests(world, self.program)
@@ -187,17 +187,17 @@ class Comparer:
             return
         golden_frame = self.golden.frames[self.result.frames]
         if golden_frame.frame != world.frame:
-            self._differs(world.frame, f"the run begins at frame {world.frame}, it began at frame {golden_frame.frame}")
+            self._record_difference(world.frame, f"the run begins at frame {world.frame}, it began at frame {golden_frame.frame}")
             self.over = True
             return
         self.result.frames += 1
         if golden_frame.parts or golden_frame.agents:
             self.known = {key: sums for key, sums in {**self.known, **golden_frame.parts}.items() if any(sums)}
         if self.result.frame is None and state_hash(world) != golden_frame.hash:
-            self._differs(world.frame, "")
+            self._record_difference(world.frame, "")
         if self.result.frame is not None and golden_frame.agents:
             self.result.detail_frame = world.frame
-            self.result.found = differences(world, self.program, self.known, golden_frame.agents)
+            self.result.found = find_differences(world, self.program, self.known, golden_frame.agents)
             self.over = True
         elif self.result.frames == len(self.golden.frames):
             self.over = True
@@ -209,11 +209,11 @@ class Comparer:
     def end(self, world: World) -> None:
         """All is known."""
 
-    def _differs(self, frame: int, words: str) -> None:
+    def _record_difference(self, frame: int, words: str) -> None:
         self.result.outcome, self.result.frame, self.result.words, self.result.origin = "differs", frame, words, self.made
 
 
-def _sums(world: World, program: Program) -> dict[str, Sums]:
+def _column_sums(world: World, program: Program) -> dict[str, Sums]:
     sums_by_key = {}
     for key, column in columns(world, program).items():
         first, second = column.sums()
@@ -222,4 +222,4 @@ def _sums(world: World, program: Program) -> dict[str, Sums]:
 
 
 def _digests(world: World, program: Program) -> dict[str, str]:
-    return {name: digest(world, population, program) for name, population in sorted(world.populations.items())}
+    return {name: agents_digest(world, population, program) for name, population in sorted(world.populations.items())}

@@ -46,7 +46,7 @@ class Slot:
         return "".join(node.flat for node in self.nodes).lstrip(" ")
 
     @property
-    def forced(self) -> bool:
+    def is_broken(self) -> bool:
         """Return whether a comment in the slot forces it onto separate lines."""
         inner = any(isinstance(node, Bracket) and node.forced for node in self.nodes)
         return inner or bool(self.lead or self.trail or self.operands)
@@ -80,15 +80,15 @@ class Reader:
         """Continue after a block that ended with this token."""
         self.last = token
 
-    def node(self, tokens: Sequence[Token], index: int) -> tuple[Node, int]:
+    def read_node(self, tokens: Sequence[Token], index: int) -> tuple[Node, int]:
         """Return the node that begins with a token, and the index of the next one."""
         token = tokens[index]
-        leaf = self.leaf(token)
+        leaf = self.read_leaf(token)
         if token.kind != "open":
             return leaf, index + 1
-        return self.bracket(leaf, tokens, index + 1)
+        return self.read_bracket(leaf, tokens, index + 1)
 
-    def bracket(self, opening: Leaf, tokens: Sequence[Token], index: int) -> tuple[Bracket, int]:
+    def read_bracket(self, opening: Leaf, tokens: Sequence[Token], index: int) -> tuple[Bracket, int]:
         slots = [Slot()]
         while True:
             token, slot = tokens[index], slots[-1]
@@ -96,15 +96,15 @@ class Reader:
             while (comment := self.comments(token.start)) is not None:
                 self.place(comment, slots, token, left)
             if token.kind == "close":
-                close = self.leaf(token)
+                close = self.read_leaf(token)
                 break
             sign = self.scan.clean[token.start]
-            node, index = self.node(tokens, index)
+            node, index = self.read_node(tokens, index)
             slot.nodes.append(node)
             if sign == "," or (sign == ":" and len(slots) == 1 and _is_comprehension(slot)):
                 slots.append(Slot(lead=left, deeper=sign == ":"))
-        found = Bracket(opening, [_settled(slot) for slot in slots if slot.nodes], close, left)
-        return _measured(found), index + 1
+        found = Bracket(opening, [_place_inner_comments(slot) for slot in slots if slot.nodes], close, left)
+        return _measure_bracket(found), index + 1
 
     def place(self, comment: n.Comment, slots: list[Slot], token: Token, left: list[n.Comment]) -> None:
         """Assign a comment before `token` to the slots so far, or to `left` if it comes after the last of them."""
@@ -127,9 +127,9 @@ class Reader:
         else:
             slot.inner.append((len(slot.nodes), comment, beside))
 
-    def leaf(self, token: Token) -> Leaf:
+    def read_leaf(self, token: Token) -> Leaf:
         text = "".join(self.scan.clean[token.start : token.end])
-        blank = self.blank(token, text)
+        blank = self.needs_blank(token, text)
         joins = token.kind in ("word", "sign") and token.start not in self.minus
         self.last = token
         if token.kind == "number":
@@ -138,7 +138,7 @@ class Reader:
             text = " ".join(part for part in parts.groups() if part)
         return Leaf(text, blank, token.kind, joins)
 
-    def blank(self, token: Token, text: str) -> bool:
+    def needs_blank(self, token: Token, text: str) -> bool:
         """Whether a blank stands before a token."""
         if self.last is None:
             return False
@@ -156,7 +156,7 @@ def _is_comprehension(slot: Slot) -> bool:
     return isinstance(second, Leaf) and second.text == "in"
 
 
-def operands(slot: Slot) -> list[Slot]:
+def split_operands(slot: Slot) -> list[Slot]:
     """Split the slot before its operators of lowest precedence; return it alone if there are none."""
     for level in _LEVELS:
         cuts = [k for k, node in enumerate(slot.nodes) if k and isinstance(node, Leaf) and node.joins and node.text in level]
@@ -166,13 +166,13 @@ def operands(slot: Slot) -> list[Slot]:
     return [slot]
 
 
-def _settled(slot: Slot) -> Slot:
+def _place_inner_comments(slot: Slot) -> Slot:
     """Return the slot with its inner comments moved before it or between its operands."""
     if not slot.inner:
         return slot
-    cut = operands(slot)
+    cut = split_operands(slot)
     if len(cut) == 1:
-        slot.lead += [*(comment for _, comment, _ in slot.inner), *_taken(slot.nodes)]
+        slot.lead += [*(comment for _, comment, _ in slot.inner), *_take_comments(slot.nodes)]
         slot.lead.sort(key=lambda comment: comment.span.start)
         slot.inner = []
         return slot
@@ -189,7 +189,7 @@ def _settled(slot: Slot) -> Slot:
         else:
             operand.inner.append((place - starts[number], comment, beside))
     slot.inner = []
-    cut = [_settled(operand) for operand in cut]
+    cut = [_place_inner_comments(operand) for operand in cut]
     if any(operand.lead for operand in cut[1:]) or any(operand.trail or operand.operands for operand in cut):
         slot.operands = cut
     else:
@@ -197,30 +197,30 @@ def _settled(slot: Slot) -> Slot:
     return slot
 
 
-def _taken(nodes: Sequence[Node]) -> list[n.Comment]:
+def _take_comments(nodes: Sequence[Node]) -> list[n.Comment]:
     """Remove and return the comments inside brackets."""
     comments: list[n.Comment] = []
     for node in nodes:
         if isinstance(node, Bracket) and node.forced:
             for slot in node.slots:
-                comments += [*_taken_from(slot), *_taken(slot.nodes)]
+                comments += [*_take_slot_comments(slot), *_take_comments(slot.nodes)]
             comments += node.tail
             node.tail = []
-            _measured(node)
+            _measure_bracket(node)
     return comments
 
 
-def _taken_from(slot: Slot) -> list[n.Comment]:
+def _take_slot_comments(slot: Slot) -> list[n.Comment]:
     """Remove and return the comments around a slot and between its operands."""
     comments = [*slot.lead, *([slot.trail] if slot.trail else [])]
     for operand in slot.operands:
-        comments += _taken_from(operand)
+        comments += _take_slot_comments(operand)
     slot.lead, slot.trail, slot.operands = [], None, []
     return comments
 
 
-def _measured(bracket: Bracket) -> Bracket:
+def _measure_bracket(bracket: Bracket) -> Bracket:
     """Record a bracket's flat text and whether it must be broken, so that no later call descends into it again."""
-    bracket.forced = bool(bracket.tail) or any(slot.forced for slot in bracket.slots)
+    bracket.forced = bool(bracket.tail) or any(slot.is_broken for slot in bracket.slots)
     bracket.flat = bracket.open.flat + " ".join(slot.flat for slot in bracket.slots) + bracket.close.flat
     return bracket

@@ -26,10 +26,10 @@ class Row:
     alone: bool
 
 
-def cells(statement: Statement) -> tuple[str, list[Sequence[Node | Block]]]:
+def split_cells(statement: Statement) -> tuple[str, list[Sequence[Node | Block]]]:
     """Return the kind that a one-line statement is aligned with, and its parts cut at the marks. The last cell is the help."""
     parts, words = statement.parts, statement.words
-    kind, mark = _kind(statement.rule, words)
+    kind, mark = _alignment_kind(statement.rule, words)
     if mark is None:
         return "plain", [parts]
     place = mark(parts)
@@ -44,7 +44,7 @@ def cells(statement: Statement) -> tuple[str, list[Sequence[Node | Block]]]:
 Mark = Callable[[Sequence[Node | Block]], int | None]
 
 
-def _at(sign: str) -> Mark:
+def _find_sign(sign: str) -> Mark:
     """Where a sign stands outside all brackets."""
 
     def place(parts: Sequence[Node | Block]) -> int | None:
@@ -53,53 +53,53 @@ def _at(sign: str) -> Mark:
     return place
 
 
-def _second(parts: Sequence[Node | Block]) -> int | None:
+def _second_part(parts: Sequence[Node | Block]) -> int | None:
     return 1 if len(parts) > 1 else None
 
 
-def _kind(rule: str, words: Sequence[str]) -> tuple[str, Mark | None]:
+def _alignment_kind(rule: str, words: Sequence[str]) -> tuple[str, Mark | None]:
     """Return, from the rule and the first words of a line, the kind it is aligned with, and the mark."""
     first = words[0] if words else ""
     if rule in ("world_item", "setting"):
-        return rule, _second
+        return rule, _second_part
     if rule == "rule":
-        return rule, _at("->")
+        return rule, _find_sign("->")
     if rule in ("declaration", "weight"):
-        return rule, _at("=")
+        return rule, _find_sign("=")
     if rule in ("member", "machine_member", "statement", "behaviour_line"):
         if first in ("when", "interrupt", "from"):
-            return "change", _at("->")
+            return "change", _find_sign("->")
         if first in ("param", "let", "latch", "keep"):
-            return "let" if first == "latch" else first, _at("=")
+            return "let" if first == "latch" else first, _find_sign("=")
     if rule == "member" and "{" not in words:
-        return _member(words)
+        return _member_alignment(words)
     return "plain", None
 
 
-def _member(words: Sequence[str]) -> tuple[str, Mark | None]:
+def _member_alignment(words: Sequence[str]) -> tuple[str, Mark | None]:
     """Return the kind of a species line that begins with a name: an attribute or a given property."""
     if words[0] in ("start", "on", "layers", "machine", "state", "fuzzy") and words[1:2] not in (["="], [":"]):
         return "plain", None
-    return ("declaration", _at("=")) if words[1:2] in (["="], [":"]) else ("given", _second)
+    return ("declaration", _find_sign("=")) if words[1:2] in (["="], [":"]) else ("given", _second_part)
 
 
-def aligned(rows: Sequence[Row], indent: int) -> list[str]:
+def align_rows(rows: Sequence[Row], indent: int) -> list[str]:
     """Return the lines of a block, with marks aligned within a run of lines without a blank line or a comment line in between."""
     lines: list[str] = []
-    for run in _runs(rows):
+    for run in _split_runs(rows):
         if run[0].blank_before:
             lines.append("")
-        texts = [text for _, same in groupby(run, key=lambda row: row.kind) for text in _marked(list(same))]
-        column = _column([text for row, text in zip(run, texts, strict=True) if row.comment], _COMMENT_GAP)
+        texts = [text for _, same in groupby(run, key=lambda row: row.kind) for text in _align_run(list(same))]
+        column = _next_column([text for row, text in zip(run, texts, strict=True) if row.comment], _COMMENT_GAP)
         for row, text in zip(run, texts, strict=True):
-            first = text if row.comment is None or row.rest else _padded(text, column, row.comment, _COMMENT_GAP)
+            first = text if row.comment is None or row.rest else _pad_text(text, column, row.comment, _COMMENT_GAP)
             lines += [" " * indent + first, *row.rest]
             if row.rest and row.comment is not None:
                 lines[-1] += " " * _COMMENT_GAP + row.comment
     return lines
 
 
-def _runs(rows: Sequence[Row]) -> Iterator[list[Row]]:
+def _split_runs(rows: Sequence[Row]) -> Iterator[list[Row]]:
     """Yield runs of rows on consecutive lines; a comment line, or a statement of several lines, is a separate run."""
     run: list[Row] = []
     for row in rows:
@@ -111,20 +111,20 @@ def _runs(rows: Sequence[Row]) -> Iterator[list[Row]]:
         yield run
 
 
-def _marked(rows: Sequence[Row]) -> list[str]:
+def _align_run(rows: Sequence[Row]) -> list[str]:
     """Return the texts of rows of one kind with aligned cells."""
     texts = [row.cells[0] for row in rows]
     for k in range(1, max(len(row.cells) for row in rows)):
         has_cell = [len(row.cells) > k and row.cells[k] != "" for row in rows]
-        column = _column([text for text, has in zip(texts, has_cell, strict=True) if has], 1)
-        texts = [_padded(t, column, r.cells[k], 1) if has else t for t, r, has in zip(texts, rows, has_cell, strict=True)]
+        column = _next_column([text for text, has in zip(texts, has_cell, strict=True) if has], 1)
+        texts = [_pad_text(t, column, r.cells[k], 1) if has else t for t, r, has in zip(texts, rows, has_cell, strict=True)]
     return texts
 
 
-def _column(texts: Sequence[str], gap: int) -> int:
+def _next_column(texts: Sequence[str], gap: int) -> int:
     """Where what follows texts begins."""
     return max((len(text) + gap for text in texts if len(text) <= MOST), default=0)
 
 
-def _padded(text: str, column: int, following: str, gap: int) -> str:
+def _pad_text(text: str, column: int, following: str, gap: int) -> str:
     return (text + " " * gap).ljust(column) + following if len(text) <= MOST else text + " " * gap + following

@@ -12,8 +12,8 @@ from typing import Any
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
-from antdsl.syntax.blocks import Group, Line, cut
-from antdsl.syntax.brackets import pair
+from antdsl.syntax.blocks import Group, Line, cut_lines
+from antdsl.syntax.brackets import pair_brackets
 from antdsl.syntax.formatting.brackets import Bracket, Leaf, Node, Reader
 from antdsl.syntax.scan import Scan, scan
 from antdsl.syntax.words import BODIES
@@ -60,17 +60,17 @@ class Statement:
 Item = Statement | Remark
 
 
-def must_open(part: Node | Block) -> bool:
+def needs_own_lines(part: Node | Block) -> bool:
     """Return whether a part of a statement cannot be on one line with the rest."""
     return part.forced if isinstance(part, Bracket) else isinstance(part, Block) and not part.one_line
 
 
-def items(file: n.File) -> list[Item]:
+def read_items(file: n.File) -> list[Item]:
     """The items of a file that was parsed without an error."""
     scanned = scan(file.source, Report())
-    tokens = pair(scanned)
+    tokens = pair_brackets(scanned)
     assert tokens is not None, "a file with too many brackets open was not parsed without an error"
-    return _Sorter(scanned, *_find_marks(file)).items(cut(scanned, tokens), "top", 0, len(file.source.text))
+    return _ItemReader(scanned, *_find_marks(file)).read_lines(cut_lines(scanned, tokens), "top", 0, len(file.source.text))
 
 
 def _find_marks(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
@@ -87,13 +87,13 @@ def _find_marks(file: n.File) -> tuple[frozenset[int], frozenset[int]]:
                 calls.add(part.function.span.end)
             elif isinstance(part, n.Unary) and part.op == "-":
                 minus.add(part.op_span.start)
-            elif (name := _called(part)) is not None:
+            elif (name := _called_name(part)) is not None:
                 calls.add(name.span.end)
             stack.extend(getattr(part, each.name) for each in fields(part))
     return frozenset(calls), frozenset(minus)
 
 
-def _called(part: object) -> n.Name | None:
+def _called_name(part: object) -> n.Name | None:
     """Return the name in a line after which arguments in brackets may follow."""
     if isinstance(part, n.Ask):
         return part.name if part.amount is None else None
@@ -101,7 +101,7 @@ def _called(part: object) -> n.Name | None:
 
 
 @dataclass(slots=True)
-class _Sorter:
+class _ItemReader:
     """One walk over the lines of a text; comments are taken in the order of the text."""
 
     scan: Scan
@@ -117,24 +117,24 @@ class _Sorter:
             return comments[self.taken - 1]
         return None
 
-    def line_ends(self, start: int, end: int) -> int:
+    def count_line_ends(self, start: int, end: int) -> int:
         return self.scan.source.text.count("\n", start, end)
 
-    def items(self, lines: Sequence[Line], rule: str, start: int, end: int) -> list[Item]:
+    def read_lines(self, lines: Sequence[Line], rule: str, start: int, end: int) -> list[Item]:
         """Return the statements and comments between two offsets."""
         item_list: list[Item] = []
         last = start  # where the item before ends
         for line in lines:
-            last = self.remarks(item_list, last, line.start)
-            item_list.append(self.statement(line, rule, self.blank(item_list, last, line.start)))
+            last = self.add_remarks(item_list, last, line.start)
+            item_list.append(self.make_statement(line, rule, self.has_blank_line(item_list, last, line.start)))
             last = line.end
-        self.remarks(item_list, last, end)
+        self.add_remarks(item_list, last, end)
         return item_list
 
-    def blank(self, item_list: list[Item], last: int, start: int) -> bool:
-        return bool(item_list) and self.line_ends(last, start) > 1
+    def has_blank_line(self, item_list: list[Item], last: int, start: int) -> bool:
+        return bool(item_list) and self.count_line_ends(last, start) > 1
 
-    def remarks(self, item_list: list[Item], last: int, end: int) -> int:
+    def add_remarks(self, item_list: list[Item], last: int, end: int) -> int:
         """Put the comments up to `end` after the last statement or on separate lines; return where the last of them ends."""
         while (comment := self.next_before(end)) is not None:
             text = comment.text.rstrip()
@@ -142,15 +142,15 @@ class _Sorter:
             if (
                 isinstance(previous_item, Statement)
                 and previous_item.comment is None
-                and not self.line_ends(last, comment.span.start)
+                and not self.count_line_ends(last, comment.span.start)
             ):
                 previous_item.comment = text
             else:
-                item_list.append(Remark(text, self.blank(item_list, last, comment.span.start)))
+                item_list.append(Remark(text, self.has_blank_line(item_list, last, comment.span.start)))
             last = comment.span.end
         return last
 
-    def statement(self, line: Line, rule: str, blank_before: bool) -> Statement:
+    def make_statement(self, line: Line, rule: str, blank_before: bool) -> Statement:
         reader = Reader(self.scan, self.calls, self.minus, self.next_before)
         parts: list[Node | Block] = []
         groups = iter(line.groups)
@@ -159,38 +159,38 @@ class _Sorter:
             token = line.tokens[index]
             if token.kind == "open" and self.scan.clean[token.start] == "{":
                 first = parts[0].text if isinstance(parts[0], Leaf) else ""
-                parts.append(self.block(next(groups), rule, first))
+                parts.append(self.make_block(next(groups), rule, first))
                 index += 2  # the closing brace is the next token: what lies between belongs to the group
                 reader.resume(line.tokens[index - 1])
             else:
-                node, index = reader.node(line.tokens, index)
+                node, index = reader.read_node(line.tokens, index)
                 parts.append(node)
         return Statement(rule, parts, blank_before)
 
-    def block(self, group: Group, rule: str, first: str) -> Block:
+    def make_block(self, group: Group, rule: str, first: str) -> Block:
         inner = "weight" if group.chooses else BODIES.get((rule, first)) or BODIES.get((rule, "*")) or ""
         start, end = group.open.end, group.close.start
         head = None
         comments = self.scan.comments
         limit = group.lines[0].start if group.lines else end
-        if self.taken < len(comments) and not self.line_ends(start, comments[self.taken].span.start):
+        if self.taken < len(comments) and not self.count_line_ends(start, comments[self.taken].span.start):
             comment = self.next_before(limit)
             if comment is not None:
                 head, start = comment.text.rstrip(), comment.span.end
-        item_list = self.items(group.lines, inner, start, end)
-        return Block(item_list, self.one_line(group, item_list, head), head)
+        item_list = self.read_lines(group.lines, inner, start, end)
+        return Block(item_list, self.is_one_line(group, item_list, head), head)
 
-    def one_line(self, group: Group, item_list: list[Item], head: str | None) -> bool:
+    def is_one_line(self, group: Group, item_list: list[Item], head: str | None) -> bool:
         """Return whether a block may be on one line: none of its statements begins a line, and nothing in it has to."""
         if not item_list and head is None:
             return True
         for item in item_list:
             if isinstance(item, Remark) or item.comment is not None:
                 return False
-            if any(must_open(part) for part in item.parts):
+            if any(needs_own_lines(part) for part in item.parts):
                 return False
         if head is not None:
             return False
         ends = [group.open.end, *(line.end for line in group.lines)]
         starts = [*(line.start for line in group.lines), group.close.start]
-        return not any(self.line_ends(end, start) for end, start in zip(ends, starts, strict=True))
+        return not any(self.count_line_ends(end, start) for end, start in zip(ends, starts, strict=True))

@@ -10,12 +10,12 @@ from antdsl import limits
 from antdsl.diagnostics.model import Report
 from antdsl.source import Source, Span
 from antdsl.syntax import nodes as n
-from antdsl.syntax.formatting.items import items
+from antdsl.syntax.formatting.items import read_items
 from antdsl.syntax.formatting.lines import text_of_items
 from antdsl.syntax.parser import parse
 
 
-class NotTheSame(RuntimeError):
+class LayoutError(RuntimeError):
     """The layout changed the meaning of a text, or lost a comment. Only a bug in this package can cause it."""
 
 
@@ -27,18 +27,18 @@ def format(source: Source) -> tuple[str | None, Report]:
     file, report = parse(source)
     if not report.ok:
         return None, report
-    text = text_of_items(items(file))
+    text = text_of_items(read_items(file))
     if text == source.text:
         return text, report
-    if too_long(source, text, report):
+    if report_too_long(source, text, report):
         return None, report
     again, findings = parse(Source(source.path, text))
-    if not findings.ok or difference(file, again):
-        raise NotTheSame(f"{source.path}: {difference(file, again) or findings.diagnostics[0].message}")
+    if not findings.ok or first_difference(file, again):
+        raise LayoutError(f"{source.path}: {first_difference(file, again) or findings.diagnostics[0].message}")
     return text, report
 
 
-def too_long(source: Source, text: str, report: Report) -> bool:
+def report_too_long(source: Source, text: str, report: Report) -> bool:
     """Report a text that exceeds the limits only after layout. Broken lines are joined before a long help, and blanks need
     space."""
     line = max(text.split("\n"), key=len).strip()
@@ -51,13 +51,13 @@ def too_long(source: Source, text: str, report: Report) -> bool:
     return not report.ok
 
 
-def difference(one: n.File, other: n.File) -> str | None:
+def first_difference(one: n.File, other: n.File) -> str | None:
     """Return what differs between two files, except locations, in a few words; None if they are the same program with the same
     comments."""
     ours, theirs = ([comment.text.rstrip() for comment in file.comments] for file in (one, other))
     if ours != theirs:
         return next((f"comment `{a}` became `{b}`" for a, b in zip(ours, theirs, strict=False) if a != b), "a comment was lost")
-    left, right = parts(one), parts(other)
+    left, right = flatten_tree(one), flatten_tree(other)
     for a, b in zip(left, right, strict=False):
         if a != b:
             return f"`{a}` became `{b}`"
@@ -65,7 +65,7 @@ def difference(one: n.File, other: n.File) -> str | None:
     return None if rest is None else f"`{rest}` was lost or came in"
 
 
-def parts(node: Any) -> Iterator[str]:
+def flatten_tree(node: Any) -> Iterator[str]:
     """Yield a tree as a flat list of words: each node's kind, and the content of its leaves. Locations and comments are left
     out."""
     stack = [node]

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from antdsl.syntax.formatting.brackets import Bracket, Leaf, Node, Slot, operands
-from antdsl.syntax.formatting.columns import Row, aligned, cells
-from antdsl.syntax.formatting.items import Block, Item, Remark, Statement, must_open
+from antdsl.syntax.formatting.brackets import Bracket, Leaf, Node, Slot, split_operands
+from antdsl.syntax.formatting.columns import Row, align_rows, split_cells
+from antdsl.syntax.formatting.items import Block, Item, Remark, Statement, needs_own_lines
 
 WIDTH = 120  # characters of a line that can be broken
 STEP = 2  # blanks by which a block is set in
@@ -16,26 +16,26 @@ Part = Node | Block
 
 
 def text_of_items(items: Sequence[Item]) -> str:
-    return "".join(f"{line}\n" for line in _block(items, 0))
+    return "".join(f"{line}\n" for line in _block_lines(items, 0))
 
 
-def _block(items: Sequence[Item], indent: int) -> list[str]:
+def _block_lines(items: Sequence[Item], indent: int) -> list[str]:
     """Return the lines of the items of a block, indented by `indent` blanks."""
-    rows = [_row(item, indent) for item in items]
-    return aligned(rows, indent)
+    rows = [_make_row(item, indent) for item in items]
+    return align_rows(rows, indent)
 
 
-def _row(item: Item, indent: int) -> Row:
+def _make_row(item: Item, indent: int) -> Row:
     if isinstance(item, Remark):
         return Row("remark", [item.text], [], None, item.blank_before, True)
-    lines = _statement(item.parts, indent)
+    lines = _statement_lines(item.parts, indent)
     if len(lines) > 1:
         return Row("long", lines[:1], lines[1:], item.comment, item.blank_before, True)
-    kind, parts = cells(item)
-    return Row(kind, [_flat(part).strip(" ") for part in parts], [], item.comment, item.blank_before, False)
+    kind, parts = split_cells(item)
+    return Row(kind, [_flat_text(part).strip(" ") for part in parts], [], item.comment, item.blank_before, False)
 
 
-def _flat(parts: Sequence[Part]) -> str:
+def _flat_text(parts: Sequence[Part]) -> str:
     """Parts on one line."""
     return "".join(_flat_block(part) if isinstance(part, Block) else part.flat for part in parts)
 
@@ -43,81 +43,83 @@ def _flat(parts: Sequence[Part]) -> str:
 def _flat_block(block: Block) -> str:
     if not block.items:
         return " {}"
-    return " { " + "; ".join(_flat(item.parts) for item in block.items if isinstance(item, Statement)) + " }"
+    return " { " + "; ".join(_flat_text(item.parts) for item in block.items if isinstance(item, Statement)) + " }"
 
 
-def _statement(parts: Sequence[Part], indent: int) -> list[str]:
+def _statement_lines(parts: Sequence[Part], indent: int) -> list[str]:
     """The lines of a statement, the first without its indent."""
     blocks = [k for k, part in enumerate(parts) if isinstance(part, Block)]
-    opened = [k for k in blocks if must_open(parts[k])]
+    opened = [k for k in blocks if needs_own_lines(parts[k])]
     for start, end in zip([-1, *opened], [*opened, len(parts)], strict=True):
         inner = [k for k in blocks if start < k < end]
-        if inner and indent + len(_piece(parts, start, min(end, inner[-1] + 1))) > WIDTH:
+        if inner and indent + len(_piece_text(parts, start, min(end, inner[-1] + 1))) > WIDTH:
             opened += inner
     opened.sort()
     lines = [""]
     for start, end in zip([-1, *opened], [*opened, len(parts)], strict=True):
         block = parts[end] if end < len(parts) else None
-        piece = _sequence(parts[start + 1 : end], indent, len(lines[-1]) or indent, len(" {") if block else 0)
+        piece = _sequence_lines(parts[start + 1 : end], indent, len(lines[-1]) or indent, len(" {") if block else 0)
         lines[-1] += piece[0]
         lines += piece[1:]
         if isinstance(block, Block):
             lines[-1] += " {" + (f"  {block.head}" if block.head else "")
-            lines += _block(block.items, indent + STEP)
+            lines += _block_lines(block.items, indent + STEP)
             lines.append(" " * indent + "}")
     return lines
 
 
-def _piece(parts: Sequence[Part], start: int, end: int) -> str:
+def _piece_text(parts: Sequence[Part], start: int, end: int) -> str:
     """Return the line between two open blocks, with the brace before and, if one follows, after it."""
-    text = _flat(parts[start + 1 : end])
+    text = _flat_text(parts[start + 1 : end])
     return ("}" if start >= 0 else "") + text + (" {" if end < len(parts) and isinstance(parts[end], Block) else "")
 
 
-def _sequence(parts: Sequence[Part], indent: int, column: int, suffix: int = 0) -> list[str]:
+def _sequence_lines(parts: Sequence[Part], indent: int, column: int, suffix: int = 0) -> list[str]:
     """Lay out successive parts from a column on. A bracket is broken if it does not fit together with what follows up to the next
     bracket. `suffix` characters follow the last part."""
     lines = [""]
     for k, part in enumerate(parts):
-        if isinstance(part, Bracket) and (part.forced or column + _reach(parts, k, suffix) > WIDTH):
-            inside = _bracket(part, indent)
+        if isinstance(part, Bracket) and (part.forced or column + _required_width(parts, k, suffix) > WIDTH):
+            inside = _bracket_lines(part, indent)
             lines[-1] += inside[0]
             lines += inside[1:]
             column = len(lines[-1])
         else:
-            text = _flat([part])
+            text = _flat_text([part])
             lines[-1] += text
             column += len(text)
     return lines
 
 
-def _reach(parts: Sequence[Part], start: int, suffix: int) -> int:
+def _required_width(parts: Sequence[Part], start: int, suffix: int) -> int:
     """Return how many characters must fit on the line if a bracket is not broken. A help at the end may have any length."""
-    count = len(_flat([parts[start]]))
+    count = len(_flat_text([parts[start]]))
     for part in parts[start + 1 :]:
         if isinstance(part, Bracket):
             return count + len(part.open.flat)
         if not (part is parts[-1] and isinstance(part, Leaf) and part.kind == "text"):
-            count += len(_flat([part]))
+            count += len(_flat_text([part]))
     return count + suffix
 
 
-def _bracket(bracket: Bracket, indent: int) -> list[str]:
+def _bracket_lines(bracket: Bracket, indent: int) -> list[str]:
     """Return a bracket with each slot on separate lines."""
     if not bracket.slots and not bracket.tail:
         return [bracket.flat]
     lines = [bracket.open.flat]
     for slot in bracket.slots:
-        lines += _slot(slot, indent + STEP * (2 if slot.deeper else 1), STEP if len(bracket.slots) > 1 and not slot.deeper else 0)
+        lines += _slot_lines(
+            slot, indent + STEP * (2 if slot.deeper else 1), STEP if len(bracket.slots) > 1 and not slot.deeper else 0
+        )
     lines += [" " * (indent + STEP) + comment.text.rstrip() for comment in bracket.tail]
     lines.append(" " * indent + bracket.close.flat)
     return lines
 
 
-def _slot(slot: Slot, indent: int, deeper: int) -> list[str]:
+def _slot_lines(slot: Slot, indent: int, deeper: int) -> list[str]:
     """Return the lines of a slot; its operands after the first are indented by `deeper`."""
     lines = [" " * indent + comment.text.rstrip() for comment in slot.lead]
-    parts = slot.operands or operands(slot)
+    parts = slot.operands or split_operands(slot)
     flat = slot.flat
     if (
         not slot.operands
@@ -127,9 +129,9 @@ def _slot(slot: Slot, indent: int, deeper: int) -> list[str]:
         lines.append(" " * indent + flat)
     elif len(parts) > 1:
         for number, operand in enumerate(parts):
-            lines += _slot(operand, indent + (deeper if number else 0), STEP)
+            lines += _slot_lines(operand, indent + (deeper if number else 0), STEP)
     else:
-        inside = _sequence(slot.nodes, indent, indent)
+        inside = _sequence_lines(slot.nodes, indent, indent)
         lines += [" " * indent + inside[0].lstrip(" "), *inside[1:]]
     if slot.trail is not None:
         lines[-1] += f"  {slot.trail.text.rstrip()}"

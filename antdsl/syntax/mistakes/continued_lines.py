@@ -20,21 +20,21 @@ _UNDONE = frozenset(("and", "or", "then", "else", "-", "..", *_SIGNS))
 _LINE_WORDS = frozenset(word for words in LINE_WORDS.values() for word in words)
 
 
-def joined(scan: Scan) -> list[Token]:
+def join_lines(scan: Scan) -> list[Token]:
     """Return the tokens of a text without line ends inside a continued statement, and report each such statement."""
     tokens, open, indent = list(scan.tokens), 0, 0
     joints: list[int] = []  # ends of lines of one statement, each followed by what belongs to it
     left_out: set[int] = set()
     for index, token in enumerate(tokens):
-        text = _text(scan, token)
+        text = _token_text(scan, token)
         indent = token.indent if token.indent >= 0 and not (joints and joints[-1] == index - 1) else indent
         open = open + 1 if text in ("(", "[") else max(0, open - 1) if text in (")", "]") else 0 if text in ("{", "}") else open
         if token.kind != "end" or open:
             continue
-        if _goes_on(scan, tokens, index, indent):
+        if _is_continuation(scan, tokens, index, indent):
             joints.append(index)
             left_out.add(index)
-            scan.blank(token.start, token.end)
+            scan.blank_out(token.start, token.end)
             tokens[index + 1] = replace(tokens[index + 1], indent=-1)
         elif joints:
             _report_joints(scan, tokens, joints)
@@ -44,22 +44,27 @@ def joined(scan: Scan) -> list[Token]:
     return [token for index, token in enumerate(tokens) if index not in left_out] if left_out else scan.tokens
 
 
-def _text(scan: Scan, token: Token) -> str:
+def _token_text(scan: Scan, token: Token) -> str:
     return "".join(scan.clean[token.start : token.end])
 
 
-def _goes_on(scan: Scan, tokens: list[Token], index: int, indent: int) -> bool:
+def _is_continuation(scan: Scan, tokens: list[Token], index: int, indent: int) -> bool:
     """Return whether the line after a line end belongs to the line before it, which is indented by `indent`."""
     if index + 1 >= len(tokens) or index == 0 or scan.source.text[tokens[index].start] != "\n":
         return False
     previous_token, following = tokens[index - 1], tokens[index + 1]
-    if previous_token.kind == "end" or _text(scan, previous_token) in ("{", "}") or following.kind == "end":
+    if previous_token.kind == "end" or _token_text(scan, previous_token) in ("{", "}") or following.kind == "end":
         return False
-    word = _text(scan, following)
+    word = _token_text(scan, following)
     if word in _GOES_ON:
-        behind = _text(scan, tokens[index + 2]) if index + 2 < len(tokens) else ""
+        behind = _token_text(scan, tokens[index + 2]) if index + 2 < len(tokens) else ""
         return not word.isalpha() or behind not in ("=", ":")
-    return _text(scan, previous_token) in _UNDONE and following.indent > indent and word not in _LINE_WORDS and word not in "{}"
+    return (
+        _token_text(scan, previous_token) in _UNDONE
+        and following.indent > indent
+        and word not in _LINE_WORDS
+        and word not in "{}"
+    )
 
 
 def _report_joints(scan: Scan, tokens: list[Token], joints: list[int]) -> None:

@@ -20,7 +20,7 @@ _THOUSANDS = re.compile(r"[1-9][0-9]{0,2}(?:,[0-9]{3})+(?:\.[0-9]+)?")
 _LONGEST = 60  # characters of a number that are shown
 
 
-def number_with_comma(source: Source, comma: int) -> Span | None:
+def find_comma_number(source: Source, comma: int) -> Span | None:
     """Return the span of the number around a comma without blanks on either side; None if the comma can only separate two
     things."""
     left = _LEFT.search(source.text, max(0, comma - _LONGEST), comma)
@@ -28,7 +28,7 @@ def number_with_comma(source: Source, comma: int) -> Span | None:
     return Span(source, left.start(), right.end()) if left and right and source.text[comma : comma + 1] == "," else None
 
 
-def comma_in_number(span: Span, *, only: bool = True) -> Diagnostic:
+def comma_diagnostic(span: Span, *, only: bool = True) -> Diagnostic:
     """Return the error about a number with commas. `only`: it cannot be two numbers separated by a comma."""
     text = span.text
     plain_number, dotted = text.replace(",", ""), text.replace(",", ".")

@@ -63,15 +63,15 @@ _CONFLICT = re.compile(r"^(<{7}|\|{7}|={7}|>{7})(?=[ \r\n]|$).*$", re.MULTILINE)
 _FENCE = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
 
 
-def look_over(scan: Scan) -> None:
+def check_stray_text(scan: Scan) -> None:
     """Report what no text may contain, anywhere."""
-    _forbidden(scan)
-    _unseen(scan)
-    _markers(scan)
-    _long_lines(scan)
+    _report_forbidden(scan)
+    _report_invisible(scan)
+    _report_markers(scan)
+    _report_long_lines(scan)
 
 
-def _forbidden(scan: Scan) -> None:
+def _report_forbidden(scan: Scan) -> None:
     for match in _FORBIDDEN.finditer(scan.source.text):
         character = match.group()
         name = f"U+{ord(character):04X}"
@@ -80,10 +80,10 @@ def _forbidden(scan: Scan) -> None:
             scan.error("hidden-direction", message, match.start(), match.end(), help, "")
         else:
             scan.error("control-character", f"control character {name}", match.start(), match.end(), "delete it", "")
-        scan.blank(match.start(), match.end())
+        scan.blank_out(match.start(), match.end())
 
 
-def _unseen(scan: Scan) -> None:
+def _report_invisible(scan: Scan) -> None:
     """Report invisible characters in comments and texts. Those that join or separate letters belong to the spelling of some
     languages."""
     text = scan.source.text
@@ -94,7 +94,7 @@ def _unseen(scan: Scan) -> None:
             scan.error("control-character", message, match.start(), match.end(), "delete it", "")
 
 
-def _markers(scan: Scan) -> None:
+def _report_markers(scan: Scan) -> None:
     """Keep the first side of a merge conflict, so that the rest of the file can be checked."""
     if "<<<<<<<" in scan.source.text or ">>>>>>>" in scan.source.text:
         drop_from = -1
@@ -122,7 +122,7 @@ def blank_lines(scan: Scan, start: int, end: int) -> None:
             scan.clean[offset] = " "
 
 
-def _long_lines(scan: Scan) -> None:
+def _report_long_lines(scan: Scan) -> None:
     if len(scan.source.text) <= limits.LINE_CHARACTERS:
         return
     start = 0
@@ -153,7 +153,7 @@ def ascii_for(character: str) -> str | None:
 _WORD = re.compile("write `([a-z]+)`")
 
 
-def word_instead(help: str, previous_character: str, next_character: str) -> str | None:
+def replacement_word(help: str, previous_character: str, next_character: str) -> str | None:
     """Return the word to write instead of a sign, with a blank where the adjacent character is part of a word."""
     match = _WORD.fullmatch(help)
     if match is None:

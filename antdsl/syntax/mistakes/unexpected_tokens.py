@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from antdsl.diagnostics.model import Diagnostic, Fix, replacement
+from antdsl.diagnostics.model import Diagnostic, Fix, find_fix
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.source import Span
-from antdsl.syntax.mistakes.number_slips import comma_in_number, number_with_comma, unit_help
+from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number, unit_help
 from antdsl.syntax.words import (
     BELONGS,
     CONTINUATIONS,
@@ -84,11 +84,12 @@ _BEGINS_VALUE = frozenset(
 _COMPARISONS = {"==", "!=", "<", ">", "<=", ">=", "is"}
 
 
-def complain(unexpected: UnexpectedToken) -> Diagnostic:
+def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
     """Return the error about a line that cannot be read: the first kind of mistake that matches."""
     for kind in (
-        _quoted_library, _after_inside, _misspelt, _misplaced, _comma, _no_line, _label, _unit, _equals, _compared_twice,
-        _second_line, _unfinished,
+        _explain_quoted_library, _explain_inner_after, _explain_misspelling, _explain_misplaced, _explain_comma,
+        _explain_no_line, _explain_label, _explain_unit, _explain_equals, _explain_double_comparison,
+        _explain_second_line, _explain_unfinished,
     ):  # fmt: skip
         diagnostic = kind(unexpected)
         if diagnostic is not None:
@@ -98,8 +99,8 @@ def complain(unexpected: UnexpectedToken) -> Diagnostic:
         if unexpected.previous_text
         else f"found {_quote_text(unexpected.token_text)}"
     )
-    help, fix = _form(unexpected), None
-    slip = _slip(unexpected)
+    help, fix = _form_text(unexpected), None
+    slip = _find_slip(unexpected)
     if slip is not None:
         help, fix = f"did you mean `{slip}`?", Fix(unexpected.span, slip)
     elif _forgets_colon(unexpected):
@@ -108,20 +109,21 @@ def complain(unexpected: UnexpectedToken) -> Diagnostic:
             _insert_before(unexpected, ": "),
         )
     elif unexpected.token_kind == "word" and unexpected.next == ":" and {"RPAR", "_COMMA"} <= unexpected.expected_terminals:
-        help, fix = f"write a comma before `{unexpected.token_text}:`", _behind(unexpected, ",")
+        help, fix = f"write a comma before `{unexpected.token_text}:`", _insert_behind(unexpected, ",")
     elif _forgets_arrow(unexpected):
         help, fix = f"write `-> {unexpected.token_text}`", _insert_before(unexpected, "-> ")
     elif forgets_brackets(unexpected):
         help = f"write `{unexpected.previous_text}({unexpected.token_text})`"
         fix = Fix(
-            Span(unexpected.span.source, _behind(unexpected, "").span.start, unexpected.span.end), f"({unexpected.token_text})"
+            Span(unexpected.span.source, _insert_behind(unexpected, "").span.start, unexpected.span.end),
+            f"({unexpected.token_text})",
         )
     return Diagnostic(
         "unexpected-text", f"{message}, expected {_describe_expected(unexpected)}", unexpected.span, help=help, fix=fix
     )
 
 
-def _after_inside(unexpected: UnexpectedToken) -> Diagnostic | None:
+def _explain_inner_after(unexpected: UnexpectedToken) -> Diagnostic | None:
     """`when meal and after 1 s`: only the whole condition may be `after`."""
     if unexpected.previous_text != "after" or unexpected.earlier not in ("and", "or") or unexpected.token_kind != "number":
         return None
@@ -133,7 +135,7 @@ def _after_inside(unexpected: UnexpectedToken) -> Diagnostic | None:
     return Diagnostic("unexpected-text", message, span, help=help, fix=Fix(span, text))
 
 
-def _quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
+def _explain_quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
     """`use "steering"`: a library has no quotes, a file has an ending and a name."""
     name = unexpected.previous_text.strip('"')
     if unexpected.first != "use" or "AS" not in unexpected.expected_terminals or not name.isidentifier():
@@ -145,7 +147,7 @@ def _quoted_library(unexpected: UnexpectedToken) -> Diagnostic | None:
     )
 
 
-def _slip(unexpected: UnexpectedToken) -> str | None:
+def _find_slip(unexpected: UnexpectedToken) -> str | None:
     """Return the word of the language that is allowed here and of which the found word is a misspelling."""
     if unexpected.token_kind != "word" or len(unexpected.token_text) < 3 or "NAME" in unexpected.expected_terminals:
         return None
@@ -182,7 +184,7 @@ def _forgets_colon(unexpected: UnexpectedToken) -> bool:
     )
 
 
-def plain_complaint(unexpected: UnexpectedToken) -> Diagnostic:
+def plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
     """Return the same error without a guess at the intended text: for a file with a great many mistakes."""
     if not unexpected.token_text:
         return Diagnostic("unfinished-line", f"line ends after {_quote_text(unexpected.previous_text)}", unexpected.span)
@@ -207,7 +209,7 @@ def better_first_word(unexpected: UnexpectedToken) -> str | None:
     return nearest_name(unexpected.first, words)
 
 
-def _misspelt(unexpected: UnexpectedToken) -> Diagnostic | None:
+def _explain_misspelling(unexpected: UnexpectedToken) -> Diagnostic | None:
     better = better_first_word(unexpected)
     if better is None:
         return None
@@ -217,18 +219,18 @@ def _misspelt(unexpected: UnexpectedToken) -> Diagnostic | None:
     )
 
 
-def _misplaced(unexpected: UnexpectedToken) -> Diagnostic | None:
+def _explain_misplaced(unexpected: UnexpectedToken) -> Diagnostic | None:
     if unexpected.first in LINE_WORDS[unexpected.rule] or unexpected.first not in BELONGS:
         return None
-    return misplaced(unexpected.first, unexpected.first_span)
+    return misplaced_diagnostic(unexpected.first, unexpected.first_span)
 
 
-def misplaced(word: str, span: Span) -> Diagnostic:
+def misplaced_diagnostic(word: str, span: Span) -> Diagnostic:
     """Return the error about a line that begins with a word which belongs elsewhere."""
     return Diagnostic("misplaced-line", f"`{word}` does not stand here", span, help=f"it belongs {BELONGS[word]}")
 
 
-def _no_line(unexpected: UnexpectedToken) -> Diagnostic | None:
+def _explain_no_line(unexpected: UnexpectedToken) -> Diagnostic | None:
     words = LINE_WORDS[unexpected.rule]
     if unexpected.previous_text or not words or unexpected.token_text in words or unexpected.rule == "behaviour_line":
         return None
@@ -239,7 +241,7 @@ def _no_line(unexpected: UnexpectedToken) -> Diagnostic | None:
     )
 
 
-def _label(unexpected: UnexpectedToken) -> Diagnostic | None:
+def _explain_label(unexpected: UnexpectedToken) -> Diagnostic | None:
     """Handle `f(a b: 1)`, where the word before the colon was parsed as something else."""
     names = (
         unexpected.previous_kind == "word"
@@ -255,20 +257,20 @@ def _label(unexpected: UnexpectedToken) -> Diagnostic | None:
     return Diagnostic("unexpected-text", message, unexpected.span, help=f"write a comma before `{unexpected.previous_text}:`")
 
 
-def _comma(unexpected: UnexpectedToken) -> Diagnostic | None:
+def _explain_comma(unexpected: UnexpectedToken) -> Diagnostic | None:
     """Handle `(0,15)`, a decimal comma as in many countries, where it cannot be two arguments."""
     token_span, source = unexpected.span, unexpected.span.source
     comma = token_span.start if unexpected.token_text == "," else token_span.start - 1 if unexpected.previous_text == "," else -1
-    span = number_with_comma(source, comma) if comma > 0 else None
-    return None if span is None else comma_in_number(span)
+    span = find_comma_number(source, comma) if comma > 0 else None
+    return None if span is None else comma_diagnostic(span)
 
 
-def _unit(unexpected: UnexpectedToken) -> Diagnostic | None:
+def _explain_unit(unexpected: UnexpectedToken) -> Diagnostic | None:
     number = unexpected.previous_kind == "number" and unexpected.previous_text[-1:].isdigit()
     if not number or unexpected.token_kind != "word" or unexpected.token_text in _keywords() or unexpected.next == ":":
         return None
     if unexpected.next in _ASSIGNING and "$END" in unexpected.expected_terminals:
-        return _line_end(unexpected)
+        return _explain_line_end(unexpected)
     if (
         _forgets_arrow(unexpected)
         and unexpected.token_text not in UNIT_SLIPS
@@ -276,15 +278,15 @@ def _unit(unexpected: UnexpectedToken) -> Diagnostic | None:
     ):
         return None
     message, help = f"`{unexpected.token_text}` is not a unit", unit_help(unexpected.token_text)
-    return Diagnostic("unknown-unit", message, unexpected.span, help=help, fix=replacement(message, unexpected.span, help))
+    return Diagnostic("unknown-unit", message, unexpected.span, help=help, fix=find_fix(message, unexpected.span, help))
 
 
 def _keywords() -> frozenset[str]:
     return frozenset(word for words in LINE_WORDS.values() for word in words) | set(CONTINUATIONS) | {"relax", "strongest"}
 
 
-def _equals(unexpected: UnexpectedToken) -> Diagnostic | None:
-    if gives_with_two(unexpected):
+def _explain_equals(unexpected: UnexpectedToken) -> Diagnostic | None:
+    if has_doubled_sign(unexpected):
         message, help = f"found `==` after {_quote_text(unexpected.previous_text)}", "to give a value, write `=`"
         return Diagnostic("unexpected-text", message, unexpected.span, help=help, fix=Fix(unexpected.span, "="))
     if unexpected.token_text != "=" or "SAME" not in unexpected.expected_terminals:
@@ -305,13 +307,13 @@ def _equals(unexpected: UnexpectedToken) -> Diagnostic | None:
     )
 
 
-def gives_with_two(unexpected: UnexpectedToken) -> bool:
+def has_doubled_sign(unexpected: UnexpectedToken) -> bool:
     """Return whether `==` stands for `=`, as in `let x == 1`."""
     names = unexpected.previous_kind == "word" and unexpected.earlier in ("let", "param", "latch", "keep")
     return unexpected.token_text == "==" and (names or unexpected.previous_text == unexpected.first)
 
 
-def _compared_twice(unexpected: UnexpectedToken) -> Diagnostic | None:
+def _explain_double_comparison(unexpected: UnexpectedToken) -> Diagnostic | None:
     if (
         unexpected.token_text not in _COMPARISONS
         or "SAME" in unexpected.expected_terminals
@@ -326,11 +328,11 @@ def _compared_twice(unexpected: UnexpectedToken) -> Diagnostic | None:
     )
 
 
-def _second_line(unexpected: UnexpectedToken) -> Diagnostic | None:
-    return _line_end(unexpected) if begins_line(unexpected) else None
+def _explain_second_line(unexpected: UnexpectedToken) -> Diagnostic | None:
+    return _explain_line_end(unexpected) if begins_line(unexpected) else None
 
 
-def _line_end(unexpected: UnexpectedToken) -> Diagnostic:
+def _explain_line_end(unexpected: UnexpectedToken) -> Diagnostic:
     message = f"`{unexpected.token_text}` in the middle of a line"
     fix = _insert_before(unexpected, "; ")
     return Diagnostic(
@@ -343,7 +345,7 @@ def _insert_before(unexpected: UnexpectedToken, text: str) -> Fix:
     return Fix(Span(unexpected.span.source, unexpected.span.start, unexpected.span.start), text)
 
 
-def _behind(unexpected: UnexpectedToken, text: str) -> Fix:
+def _insert_behind(unexpected: UnexpectedToken, text: str) -> Fix:
     """Return a fix that inserts text directly after what was read, before the blanks."""
     source, start = unexpected.span.source, unexpected.span.start
     end = len(source.text[:start].rstrip())
@@ -357,11 +359,11 @@ def begins_line(unexpected: UnexpectedToken) -> bool:
     return (unexpected.token_text in words or assigns) and "$END" in unexpected.expected_terminals
 
 
-def _unfinished(unexpected: UnexpectedToken) -> Diagnostic | None:
+def _explain_unfinished(unexpected: UnexpectedToken) -> Diagnostic | None:
     if unexpected.token_text:
         return None
     message = f"line ends after {_quote_text(unexpected.previous_text)}, expected {_describe_expected(unexpected)}"
-    return Diagnostic("unfinished-line", message, unexpected.span, help=_form(unexpected))
+    return Diagnostic("unfinished-line", message, unexpected.span, help=_form_text(unexpected))
 
 
 def _describe_expected(unexpected: UnexpectedToken) -> str:
@@ -395,7 +397,7 @@ def _describe_expected(unexpected: UnexpectedToken) -> str:
     return "the end of the line" if "$END" in expected_terminals else "something else"
 
 
-def _form(unexpected: UnexpectedToken) -> str:
+def _form_text(unexpected: UnexpectedToken) -> str:
     if {"RPAR", "_COMMA"} <= unexpected.expected_terminals and unexpected.rule != "top":
         return "arguments are written like `seek(meal)` or `wander(swing: 40 deg)`"
     if unexpected.expected_terminals == {"FROM"}:

@@ -9,7 +9,7 @@ import warnings
 from time import process_time
 
 from antdsl.bench.cases import CASES
-from antdsl.bench.measuring import WARM, neighbours, with_code
+from antdsl.bench.measuring import WARM, mean_neighbours, wait_for_code
 from antdsl.runtime import Options, World, bind, step
 
 
@@ -24,14 +24,14 @@ def main() -> None:
         if world is None or case.sight:
             world = bind(shot.plan, shot.setting, Options(backend=backend, threads=1))
             step(world)
-            with_code(world)
+            wait_for_code(world)
             for _ in range(WARM):
                 step(world)
         start = process_time()
         for _ in range(steps):
             step(world)
         spent = (process_time() - start) / steps
-        print(json.dumps({"step": spent, "neighbours": neighbours(world, case.sight) if case.sight else None}), flush=True)
+        print(json.dumps({"step": spent, "neighbours": mean_neighbours(world, case.sight) if case.sight else None}), flush=True)
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from antdsl.plan.lowering import clips, pair_values
 from antdsl.plan.lowering.rules import chance, logic, numbers, places, senses
-from antdsl.plan.lowering.sets import gather, reduce
+from antdsl.plan.lowering.sets import lower_set, reduce
 from antdsl.plan.lowering.values import Value
 from antdsl.plan.lowering.writer import Rules, Writer
 from antdsl.program import model
@@ -19,4 +19,4 @@ OPERATIONS: dict[str, Callable[[Writer, model.Op], Value]] = {
     **places.RULES,
     **senses.RULES,
 }
-RULES = Rules(OPERATIONS, gather, reduce, pair_values.read, clips.test)
+RULES = Rules(OPERATIONS, lower_set, reduce, pair_values.read, clips.lower_clip_test)

@@ -7,7 +7,7 @@ from math import pi
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Node
 from antdsl.plan.lowering.expressions import lower, scalar, select
-from antdsl.plan.lowering.values import Named, Ref, Value
+from antdsl.plan.lowering.values import EntityRef, NamedThing, Value
 from antdsl.plan.lowering.writer import Writer
 from antdsl.program import model
 
@@ -45,9 +45,9 @@ def _pick(w: Writer, e: model.Op) -> Value:
 def _random_agent(w: Writer, e: model.Op) -> Value:
     assert e.args[0] is not None
     of = lower(w, e.args[0])
-    if not isinstance(of, Named) or not e.site:
+    if not isinstance(of, NamedThing) or not e.site:
         raise PlanError(f"random of no species: {e.span.text!r}")
-    return Ref(model.Kind.AGENT, of.name, w.b("draw.agent", attrs=(e.site, of.name)))
+    return EntityRef(model.Kind.AGENT, of.name, w.b("draw.agent", attrs=(e.site, of.name)))
 
 
 def _chance(w: Writer, e: model.Op) -> Value:

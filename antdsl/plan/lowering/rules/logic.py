@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from antdsl.plan.ir import Kind, Node
-from antdsl.plan.lowering.expressions import as_truth, lower, present, scalar, select, truth
+from antdsl.plan.lowering.expressions import as_truth, lower, presence, scalar, select, truth
 from antdsl.plan.lowering.values import Value
 from antdsl.plan.lowering.writer import Writer
 from antdsl.program import model
@@ -13,7 +13,7 @@ from antdsl.program import model
 Rule = Callable[[Writer, model.Op], Value]
 
 
-def _joined(sharp: str, shaded: str) -> Rule:
+def _make_connective(sharp: str, shaded: str) -> Rule:
     """Return the rule of `and` or `or`: for bools, or for degrees from 0 to 1 as their minimum or maximum (Zadeh 1965, section
     2)."""
 
@@ -61,24 +61,25 @@ def _if(w: Writer, e: model.Op) -> Value:
 def _is_some(w: Writer, e: model.Op) -> Value:
     argument = e.args[0]
     assert argument is not None
-    return present(w, lower(w, argument), argument)
+    return presence(w, lower(w, argument), argument)
 
 
 def _is_none(w: Writer, e: model.Op) -> Value:
     argument = e.args[0]
     assert argument is not None
-    return w.b("not", present(w, lower(w, argument), argument))
+    return w.b("not", presence(w, lower(w, argument), argument))
 
 
 def _first(w: Writer, e: model.Op) -> Value:
     choices = [(a, lower(w, a)) for a in e.args if a is not None]
     result = choices[-1][1]
     for expr, value in reversed(choices[:-1]):
-        result = select(w, present(w, value, expr), value, result)
+        result = select(w, presence(w, value, expr), value, result)
     return result
 
 
 RULES = {
-    "and": _joined("and", "min"), "or": _joined("or", "max"), "not": _not, "if": _if, "is_some": _is_some, "is_none": _is_none,
+    "and": _make_connective("and", "min"), "or": _make_connective("or", "max"), "not": _not, "if": _if, "is_some": _is_some,
+    "is_none": _is_none,
     "first": _first, "fuzzy": _fuzzy,
 }  # fmt: skip

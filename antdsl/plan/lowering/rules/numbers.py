@@ -7,10 +7,10 @@ from collections.abc import Callable
 from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import values
-from antdsl.plan.lowering.expressions import lower, scalar, single, vector
+from antdsl.plan.lowering.expressions import lower, scalar, single_node, vector
 from antdsl.plan.lowering.values import Value, Vec
 from antdsl.plan.lowering.writer import Writer
-from antdsl.plan.simplify import value
+from antdsl.plan.simplify import constant_value
 from antdsl.program import model
 
 Rule = Callable[[Writer, model.Op], Value]
@@ -21,17 +21,17 @@ def args(w: Writer, e: model.Op) -> list[Node]:
     return [scalar(w, a) for a in e.args if a is not None]
 
 
-def _two(w: Writer, e: model.Op) -> tuple[Value, Value, Callable[[], list[Node]]]:
+def _lower_both(w: Writer, e: model.Op) -> tuple[Value, Value, Callable[[], list[Node]]]:
     """Return both operands, and a function that gives them as scalars. Each is lowered once; otherwise nested sums would double
     the work with each term."""
     first, second = (a for a in e.args if a is not None)
     left, right = lower(w, first), lower(w, second)
-    return left, right, lambda: [single(w, first, left), single(w, second, right)]
+    return left, right, lambda: [single_node(w, first, left), single_node(w, second, right)]
 
 
-def _both(op: str) -> Rule:
+def _make_binary(op: str) -> Rule:
     def rule(w: Writer, e: model.Op) -> Value:
-        left, right, scalars = _two(w, e)
+        left, right, scalars = _lower_both(w, e)
         if isinstance(left, Vec) and isinstance(right, Vec):
             return values.zip_with(lambda p, q: w.b(op, p, q), left, right)
         return w.b(op, *scalars())
@@ -40,7 +40,7 @@ def _both(op: str) -> Rule:
 
 
 def _mul(w: Writer, e: model.Op) -> Value:
-    left, right, scalars = _two(w, e)
+    left, right, scalars = _lower_both(w, e)
     if isinstance(left, Vec) and isinstance(right, Node):
         return values.scale(w.b, left, right)
     if isinstance(right, Vec) and isinstance(left, Node):
@@ -53,7 +53,7 @@ def _div(w: Writer, e: model.Op) -> Value:
     left, right = lower(w, dividend), scalar(w, divisor)
     if isinstance(left, Vec):
         return values.zip_with(lambda p: w.b("div", p, right), left)
-    return w.b("div", single(w, dividend, left), right)
+    return w.b("div", single_node(w, dividend, left), right)
 
 
 def _neg(w: Writer, e: model.Op) -> Value:
@@ -61,12 +61,12 @@ def _neg(w: Writer, e: model.Op) -> Value:
     inner = lower(w, operand)
     if isinstance(inner, Vec):
         return values.neg(w.b, inner)
-    return w.b("neg", single(w, operand, inner))
+    return w.b("neg", single_node(w, operand, inner))
 
 
 def _pow(w: Writer, e: model.Op) -> Value:
     base, exponent = args(w, e)
-    known = value(exponent)
+    known = constant_value(exponent)
     if known is None:
         return w.b("pow", base, exponent)
     if known == 0.5:
@@ -79,7 +79,7 @@ def _pow(w: Writer, e: model.Op) -> Value:
     return w.b("div", w.b.number(1), result) if known < 0 else result
 
 
-def _plain(op: str) -> Rule:
+def _make_plain(op: str) -> Rule:
     return lambda w, e: w.b(op, *args(w, e))
 
 
@@ -99,11 +99,11 @@ def share(w: Writer, x: Node, low: Node, high: Node) -> Node:
 
 def _ramp(w: Writer, e: model.Op) -> Value:
     x, from_low, from_high, to_low, to_high = args(w, e)
-    return _mixed(w, to_low, to_high, share(w, x, from_low, from_high))
+    return _interpolate(w, to_low, to_high, share(w, x, from_low, from_high))
 
 
-def _mixed(w: Writer, a: Node, z: Node, t: Node) -> Node:
-    if value(a) == 0:
+def _interpolate(w: Writer, a: Node, z: Node, t: Node) -> Node:
+    if constant_value(a) == 0:
         return w.b("mul", z, t)
     return w.b("add", w.b("mul", a, w.b("sub", w.b.number(1), t)), w.b("mul", z, t))
 
@@ -112,9 +112,9 @@ def _mix(w: Writer, e: model.Op) -> Value:
     first, second = (lower(w, a) for a in e.args[:2] if a is not None)
     t = scalar(w, e.args[2])  # type: ignore[arg-type]
     if isinstance(first, Vec) and isinstance(second, Vec):
-        return values.zip_with(lambda p, q: _mixed(w, p, q, t), first, second)
+        return values.zip_with(lambda p, q: _interpolate(w, p, q, t), first, second)
     if isinstance(first, Node) and isinstance(second, Node):
-        return _mixed(w, first, second, t)
+        return _interpolate(w, first, second, t)
     raise PlanError("mix of two unlike values")
 
 
@@ -134,9 +134,9 @@ def _around(w: Writer, e: model.Op) -> Value:
     return b("max", b("sub", b.number(1), b("div", b("abs", b("sub", x, middle)), half)), b.number(0))
 
 
-def _compared(op: str) -> Rule:
+def _make_comparison(op: str) -> Rule:
     def rule(w: Writer, e: model.Op) -> Value:
-        left, right, scalars = _two(w, e)
+        left, right, scalars = _lower_both(w, e)
         if isinstance(left, Vec) and isinstance(right, Vec):
             same = w.b.all(*(w.b("eq", p, q) for p, q in zip(left, right, strict=True)))
             return same if op == "eq" else w.b("not", same)
@@ -149,10 +149,12 @@ def _compared(op: str) -> Rule:
 
 
 RULES = {
-    "add": _both("add"), "sub": _both("sub"), "mul": _mul, "div": _div, "neg": _neg, "pow": _pow,
-    "lt": _plain("lt"), "le": _plain("le"), "gt": _plain("gt"), "ge": _plain("ge"), "eq": _compared("eq"), "ne": _compared("ne"),
-    "abs": _plain("abs"), "floor": _plain("floor"), "sqrt": _plain("sqrt"), "sin": _plain("sin"), "cos": _plain("cos"),
-    "exp": _plain("exp"), "log": _plain("log"), "min": _plain("min"), "max": _plain("max"),
+    "add": _make_binary("add"), "sub": _make_binary("sub"), "mul": _mul, "div": _div, "neg": _neg, "pow": _pow,
+    "lt": _make_plain("lt"), "le": _make_plain("le"), "gt": _make_plain("gt"), "ge": _make_plain("ge"),
+    "eq": _make_comparison("eq"), "ne": _make_comparison("ne"),
+    "abs": _make_plain("abs"), "floor": _make_plain("floor"), "sqrt": _make_plain("sqrt"), "sin": _make_plain("sin"),
+    "cos": _make_plain("cos"),
+    "exp": _make_plain("exp"), "log": _make_plain("log"), "min": _make_plain("min"), "max": _make_plain("max"),
     "clamp": _clamp, "ramp": _ramp, "mix": _mix, "rising": _rising, "falling": _falling, "around": _around,
 }  # fmt: skip
 

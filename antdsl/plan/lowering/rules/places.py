@@ -8,8 +8,8 @@ from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Kind, Node
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower, scalar
-from antdsl.plan.lowering.values import Element, Hit, Named, Own, Ref, Value, Vec
-from antdsl.plan.lowering.writer import AXES, NotYet, Writer
+from antdsl.plan.lowering.values import Element, EntityRef, Hit, NamedThing, OwnPlace, Value, Vec
+from antdsl.plan.lowering.writer import AXES, UnsupportedConstruct, Writer
 from antdsl.program import model
 
 _SOLID = (model.Kind.OBSTACLE, model.Kind.SURFACE, model.Kind.SOLID)
@@ -20,69 +20,69 @@ def where(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
     b = w.b
     if isinstance(value, Vec):
         return b.true, value
-    if isinstance(value, Own):
+    if isinstance(value, OwnPlace):
         return b.true, w.read_vector("position")
-    value = _single(w, value)
-    if isinstance(value, Ref):
-        return _of_ref(w, value)
+    value = _nearest_of(w, value)
+    if isinstance(value, EntityRef):
+        return _ref_position(w, value)
     if isinstance(value, Element):
         prefix = "" if value.what is model.Kind.ITEM else "position."
         return b.true, Vec(*(b("other", attrs=(prefix + axis,), kind=Kind.F32) for axis in AXES))
-    is_present, offset = away(w, value, e)
+    is_present, offset = offset_to(w, value, e)
     return is_present, values.add(b, w.read_vector("position"), offset)
 
 
-def away(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
+def offset_to(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
     """Whether the place is there, and the way from the agent to it (mm)."""
     b = w.b
-    value = _single(w, value)
+    value = _nearest_of(w, value)
     if isinstance(value, Element):
         return b.true, Vec(b("pair.x"), b("pair.y"), b("pair.z"))
     if isinstance(value, Hit):
         return value.hit, values.scale(b, value.direction, value.distance)
-    if isinstance(value, Named) and value.kind in _SOLID:
+    if isinstance(value, NamedThing) and value.kind in _SOLID:
         near = b("obstacle.near", b.number(inf), attrs=(value.name,))
         within, distance, x, y, z = (b("get", near, attrs=(i,)) for i in range(5))
         return within, values.scale(b, Vec(x, y, z), b("neg", distance))
-    if isinstance(value, Named) and value.kind is model.Kind.CURVE:
+    if isinstance(value, NamedThing) and value.kind is model.Kind.CURVE:
         is_present: Node = b.true
         point = _point(w, value.name)
-    elif isinstance(value, Vec | Own | Ref):
+    elif isinstance(value, Vec | OwnPlace | EntityRef):
         is_present, point = where(w, value, e)
     else:
         raise PlanError(f"a {type(value).__name__} has no place: {e.span.text!r}")
     return is_present, values.sub(b, point, w.read_vector("position"))
 
 
-def far(w: Writer, value: Value, e: model.Expr) -> Node:
+def distance_to(w: Writer, value: Value, e: model.Expr) -> Node:
     """Distance in mm; infinite to none."""
     b = w.b
-    value = _single(w, value)
+    value = _nearest_of(w, value)
     if isinstance(value, Element):
         return b("pair.distance")
     if isinstance(value, Hit):
         return b("where", value.hit, value.distance, b.number(inf))
-    if isinstance(value, Named) and value.kind is model.Kind.CURVE:
+    if isinstance(value, NamedThing) and value.kind is model.Kind.CURVE:
         return b("get", b("curve.closest", attrs=(value.name,)), attrs=(0,))
-    if isinstance(value, Named) and value.kind in _SOLID:
+    if isinstance(value, NamedThing) and value.kind in _SOLID:
         near = b("obstacle.near", b.number(inf), attrs=(value.name,))
         return b("where", b("get", near, attrs=(0,)), b("get", near, attrs=(1,)), b.number(inf))
-    is_present, offset = away(w, value, e)
+    is_present, offset = offset_to(w, value, e)
     return b("where", is_present, values.length(b, offset), b.number(inf))
 
 
-def _single(w: Writer, value: Value) -> Value:
+def _nearest_of(w: Writer, value: Value) -> Value:
     """Of several items or agents, the nearest."""
-    if isinstance(value, Named) and value.kind is model.Kind.ITEMS:
+    if isinstance(value, NamedThing) and value.kind is model.Kind.ITEMS:
         every = w.b("set.items", w.b.number(inf), attrs=(value.name,))
-        return Ref(model.Kind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
-    if isinstance(value, Named) and value.kind is model.Kind.SPECIES:
+        return EntityRef(model.Kind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
+    if isinstance(value, NamedThing) and value.kind is model.Kind.SPECIES:
         every = w.b("set.every", attrs=(value.name,))
-        return Ref(model.Kind.AGENT, value.name, w.b("reduce.agent", every, w.b.true, w.b("pair.distance")))
+        return EntityRef(model.Kind.AGENT, value.name, w.b("reduce.agent", every, w.b.true, w.b("pair.distance")))
     return value
 
 
-def _of_ref(w: Writer, ref: Ref) -> tuple[Node, Vec]:
+def _ref_position(w: Writer, ref: EntityRef) -> tuple[Node, Vec]:
     b = w.b
     if ref.what is model.Kind.ITEM:
         is_present = b("item.alive", ref.node, attrs=(ref.of,))
@@ -106,7 +106,7 @@ def _place(w: Writer, e: model.Op, index: int = 0) -> tuple[Value, model.Expr]:
 
 
 def _distance(w: Writer, e: model.Op) -> Value:
-    return far(w, *_place(w, e))
+    return distance_to(w, *_place(w, e))
 
 
 def _direction(w: Writer, e: model.Op) -> Value:
@@ -115,22 +115,22 @@ def _direction(w: Writer, e: model.Op) -> Value:
     if len(e.args) < 2 or e.args[1] is None:
         return _toward(w, start, start_expr)
     end, end_expr = _place(w, e, 1)
-    if isinstance(end, Own):
+    if isinstance(end, OwnPlace):
         return values.neg(b, _toward(w, start, start_expr))
-    if isinstance(start, Own):
+    if isinstance(start, OwnPlace):
         return _toward(w, end, end_expr)
     has_start, from_point = where(w, start, start_expr)
     has_end, to_point = where(w, end, end_expr)
-    return values.keep_if(b, b("and", has_start, has_end), values.unit(b, values.sub(b, to_point, from_point)))
+    return values.vector_if(b, b("and", has_start, has_end), values.unit(b, values.sub(b, to_point, from_point)))
 
 
 def _toward(w: Writer, value: Value, e: model.Expr) -> Vec:
     b = w.b
     if isinstance(value, Hit):
-        return values.keep_if(b, value.hit, value.direction)
-    is_present, offset = away(w, value, e)
+        return values.vector_if(b, value.hit, value.direction)
+    is_present, offset = offset_to(w, value, e)
     size = b("pair.distance") if isinstance(value, Element) else values.length(b, offset)
-    return values.keep_if(b, is_present, values.along(b, offset, size))
+    return values.vector_if(b, is_present, values.divide(b, offset, size))
 
 
 def _position(w: Writer, e: model.Op) -> Value:
@@ -140,10 +140,10 @@ def _position(w: Writer, e: model.Op) -> Value:
 
 def _velocity(w: Writer, e: model.Op) -> Value:
     value = _place(w, e)[0]
-    if isinstance(value, Own):
+    if isinstance(value, OwnPlace):
         return w.read_vector("velocity")
-    value = _single(w, value)
-    if isinstance(value, Ref) and value.what is model.Kind.AGENT:
+    value = _nearest_of(w, value)
+    if isinstance(value, EntityRef) and value.what is model.Kind.AGENT:
         return Vec(*(w.b("agent.get", value.node, attrs=(value.of, f"velocity.{axis}"), kind=Kind.F32) for axis in AXES))
     if isinstance(value, Element) and value.what is model.Kind.AGENT:
         return Vec(*(w.b("other", attrs=(f"velocity.{axis}",), kind=Kind.F32) for axis in AXES))
@@ -154,7 +154,7 @@ def _touching(w: Writer, e: model.Op) -> Value:
     value, expr = _place(w, e)
     b = w.b
     radius = w.read("radius")
-    if isinstance(value, Named):
+    if isinstance(value, NamedThing):
         if value.kind is model.Kind.SURFACE:
             return b("surface.touching", attrs=(value.name,))
         if value.kind in (model.Kind.OBSTACLE, model.Kind.SOLID):
@@ -164,18 +164,20 @@ def _touching(w: Writer, e: model.Op) -> Value:
             reach = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
             return b("reduce.any", every, b("le", b("pair.distance"), reach))
         if value.kind is model.Kind.SPECIES:
-            raise NotYet("touching any agent of a species", e.span, f"any(n in neighbours(size, of: {value.name}): touching(n))")
+            raise UnsupportedConstruct(
+                "touching any agent of a species", e.span, f"any(n in neighbours(size, of: {value.name}): touching(n))"
+            )
     if isinstance(value, Element):
         radius = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
-    if isinstance(value, Ref):
+    if isinstance(value, EntityRef):
         op = "item.get" if value.what is model.Kind.ITEM else "agent.get"
         radius = b("add", b(op, value.node, attrs=(value.of, "radius"), kind=Kind.F32), radius)
-    return b("le", far(w, value, expr), radius)
+    return b("le", distance_to(w, value, expr), radius)
 
 
 def _falloff(w: Writer, e: model.Op) -> Value:
     """Return floor / max(distance, floor) (decision 19): 1 near the place, 0 if there is none."""
-    distance = far(w, *_place(w, e))
+    distance = distance_to(w, *_place(w, e))
     assert e.args[1] is not None
     floor = scalar(w, e.args[1])
     return w.b("div", floor, w.b("max", distance, floor))

@@ -8,32 +8,32 @@ from antdsl.plan.builder import PlanError
 from antdsl.plan.ir import Node
 from antdsl.plan.lowering import values
 from antdsl.plan.lowering.expressions import lower, scalar, vector
-from antdsl.plan.lowering.sets import cast
-from antdsl.plan.lowering.values import Named, Value, Vec
-from antdsl.plan.lowering.writer import NotYet, Writer
-from antdsl.plan.simplify import value
+from antdsl.plan.lowering.sets import cast_ray
+from antdsl.plan.lowering.values import NamedThing, Value, Vec
+from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
+from antdsl.plan.simplify import constant_value
 from antdsl.program import model
 from antdsl.program.tables.rows import Builtin, Sense
 from antdsl.program.tables.senses import SENSES
 
 
-def _name(w: Writer, e: model.Op, index: int = 0) -> str:
+def _thing_name(w: Writer, e: model.Op, index: int = 0) -> str:
     expr = e.args[index]
     assert expr is not None
     thing = lower(w, expr)
-    if not isinstance(thing, Named):
+    if not isinstance(thing, NamedThing):
         raise PlanError(f"a {type(thing).__name__} where a thing of the world was due: {e.span.text!r}")
     return thing.name
 
 
-def _plain(sense: Sense, word: Builtin) -> Callable[[Writer, model.Op], Value]:
+def _make_plain(sense: Sense, word: Builtin) -> Callable[[Writer, model.Op], Value]:
     """Return the rule of a word with the arguments of its sense: the thing that it names, then its operands."""
     first, size = sense.place(word.part)
 
     def rule(w: Writer, e: model.Op) -> Value:
         rest = e.args[1:] if sense.of else e.args
-        operands = [node for arg in rest if arg is not None for node in _parts(lower(w, arg), arg)]
-        sense_node = w.b(sense.op, *operands, attrs=(_name(w, e),) if sense.of else ())
+        operands = [node for arg in rest if arg is not None for node in _operands(lower(w, arg), arg)]
+        sense_node = w.b(sense.op, *operands, attrs=(_thing_name(w, e),) if sense.of else ())
         if len(sense.kinds) == 1:
             return sense_node
         components = [w.b("get", sense_node, attrs=(first + i,)) for i in range(size)]
@@ -42,7 +42,7 @@ def _plain(sense: Sense, word: Builtin) -> Callable[[Writer, model.Op], Value]:
     return rule
 
 
-def _parts(value: Value, e: model.Expr) -> tuple[Node, ...]:
+def _operands(value: Value, e: model.Expr) -> tuple[Node, ...]:
     """A number as one operand, a vector as three."""
     if isinstance(value, Node):
         return (value,)
@@ -54,10 +54,10 @@ def _parts(value: Value, e: model.Expr) -> tuple[Node, ...]:
 def _nearest_cells(w: Writer, e: model.Op) -> list[Node]:
     count_expr = e.args[1]
     assert count_expr is not None
-    count = value(scalar(w, count_expr))
+    count = constant_value(scalar(w, count_expr))
     if count is None:
-        raise NotYet("a number of cells that is not written as a number", e.span, "write it out, `nearest: 16`")
-    cells = w.b("field.strongest", attrs=(_name(w, e), max(1, min(27, int(count)))))
+        raise UnsupportedConstruct("a number of cells that is not written as a number", e.span, "write it out, `nearest: 16`")
+    cells = w.b("field.strongest", attrs=(_thing_name(w, e), max(1, min(27, int(count)))))
     return [w.b("get", cells, attrs=(i,)) for i in range(4)]
 
 
@@ -72,7 +72,7 @@ def _strongest(w: Writer, e: model.Op) -> Value:
 def _ray(w: Writer, e: model.Op) -> Value:
     direction, reach = e.args[0], e.args[1]
     assert direction is not None and reach is not None
-    return cast(w, values.unit(w.b, vector(w, direction)), scalar(w, reach), _name(w, e, 2))
+    return cast_ray(w, values.unit(w.b, vector(w, direction)), scalar(w, reach), _thing_name(w, e, 2))
 
 
 def _slope(w: Writer, e: model.Op) -> Value:
@@ -90,12 +90,12 @@ def _world_up(w: Writer) -> Vec:
 
 
 def _run(w: Writer, e: model.Op) -> Value:
-    name = _name(w, e)
+    name = _thing_name(w, e)
     return w.run(name) if name == "dt" else w.b("step", attrs=(name,))
 
 
 def _event(w: Writer, e: model.Op) -> Value:
-    return w.b("event", attrs=(_name(w, e),))
+    return w.b("event", attrs=(_thing_name(w, e),))
 
 
 def _match(w: Writer, e: model.Op) -> Value:
@@ -113,5 +113,5 @@ _COMPUTED = {
     "event": _event, "match": _match,
 }  # fmt: skip
 RULES = {
-    word.op: _plain(sense, word) for sense in SENSES.values() for word in sense.words if word.op not in _COMPUTED
+    word.op: _make_plain(sense, word) for sense in SENSES.values() for word in sense.words if word.op not in _COMPUTED
 } | _COMPUTED

@@ -10,10 +10,10 @@ from antdsl.program.names.scope import Declared, FileNames
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class CheckContext:
     program: Program
     declared: Declared
     files: Sequence[FileNames]
 
-    def uses(self, kind: str, name: str) -> bool:
+    def is_used(self, kind: str, name: str) -> bool:
         return (kind, name) in self.declared.used

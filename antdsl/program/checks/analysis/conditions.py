@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass
 
 from antdsl.program.checks.analysis.ranges import Interval, range_of
-from antdsl.program.model import Binding, Const, Expr, Kind, Local, Op, Param
+from antdsl.program.model import Binding, BindingRef, Const, Expr, Kind, Op, Param
 
 _MOST = 48  # cases; a condition with more is left alone
 _SWAPPED = {"lt": "gt", "le": "ge", "gt": "lt", "ge": "le", "eq": "eq", "ne": "ne"}
@@ -24,12 +24,12 @@ class Case:
     numbers: dict[str, Interval] = field(default_factory=dict)
     tests: dict[str, bool] = field(default_factory=dict)
 
-    def meet(self, other: Case) -> Case | None:
+    def intersect(self, other: Case) -> Case | None:
         """Both, or None where they exclude each other."""
         numbers, tests = dict(self.numbers), dict(self.tests)
         for key, interval in other.numbers.items():
-            numbers[key] = numbers[key].meet(interval) if key in numbers else interval
-            if numbers[key].empty:
+            numbers[key] = numbers[key].intersect(interval) if key in numbers else interval
+            if numbers[key].is_empty:
                 return None
         for key, holds in other.tests.items():
             if tests.setdefault(key, holds) != holds:
@@ -40,16 +40,16 @@ class Case:
 Cases = list[Case]
 
 
-class TooMany(Exception):
+class TooManyCases(Exception):
     """A condition has more cases than the analysis allows."""
 
 
 # Such a condition is left alone; so is one that goes through more lets, each in the other, than can be followed.
-NOT_FOLLOWED = (TooMany, RecursionError)
+NOT_FOLLOWED = (TooManyCases, RecursionError)
 
 
 @dataclass(slots=True)
-class Reader:
+class ConditionReader:
     """Reads conditions of one species. `known` has the range in which a number lies anyway, by its key."""
 
     params: Mapping[str, Param]
@@ -64,7 +64,7 @@ class Reader:
         """Return the cases in which a condition is true, or false if not `holds`. Raises TooMany."""
         if test is None:
             return [Case()] if holds else []
-        if isinstance(test, Local) and test.binding.role in ("let", "argument") and test.binding.value is not None:
+        if isinstance(test, BindingRef) and test.binding.role in ("let", "argument") and test.binding.value is not None:
             found = self.behind.get((id(test.binding), holds))
             if found is None:
                 found = self.behind[id(test.binding), holds] = self.cases(test.binding.value, holds)
@@ -76,7 +76,7 @@ class Reader:
                 return self.cases(test.args[0], not holds)
             if test.name in ("and", "or"):
                 left, right = (self.cases(arg, holds) for arg in test.args)
-                return _both(left, right) if (test.name == "and") == holds else _few(left + right)
+                return _combine(left, right) if (test.name == "and") == holds else _limit_cases(left + right)
             if test.name in _SWAPPED:
                 return self._comparison(test, test.name if holds else _OPPOSITE[test.name])
             if test.name == "is_some":
@@ -89,19 +89,19 @@ class Reader:
         if left.type.kind is not Kind.NUMBER:
             same = f"eq({','.join(sorted((self.key(left), self.key(right))))})"
             return [Case(tests={same: name == "eq"})]
-        if _plain(left) is not None:
+        if _constant_value(left) is not None:
             left, right, name = right, left, _SWAPPED[name]
-        edge = _plain(right)
+        edge = _constant_value(right)
         if edge is None:  # two that change: their difference against 0
             if self.key(left) > self.key(right):
                 left, right, name = right, left, _SWAPPED[name]
             key = f"{self.key(left)} - {self.key(right)}"
             a, b = range_of(left, self.params, self.ranges), range_of(right, self.params, self.ranges)
-            return self._against(key, Interval(a.low - b.high, a.high - b.low), 0.0, name)
-        subject, edge, name = _alone(left, edge, name)
-        return self._against(self.key(subject), range_of(subject, self.params, self.ranges), edge, name)
+            return self._compare_with_edge(key, Interval(a.low - b.high, a.high - b.low), 0.0, name)
+        subject, edge, name = _isolate(left, edge, name)
+        return self._compare_with_edge(self.key(subject), range_of(subject, self.params, self.ranges), edge, name)
 
-    def _against(self, key: str, known: Interval, edge: float, name: str) -> Cases:
+    def _compare_with_edge(self, key: str, known: Interval, edge: float, name: str) -> Cases:
         if not (math.isnan(known.low) or math.isnan(known.high)):
             self.known[key] = known
         below, above = Interval(high=edge, high_open=True), Interval(low=edge, low_open=True)
@@ -109,13 +109,13 @@ class Reader:
             "lt": (below,), "gt": (above,), "eq": (Interval(edge, edge),), "ne": (below, above),
             "le": (Interval(high=edge),), "ge": (Interval(low=edge),),
         }[name]  # fmt: skip
-        intervals = [interval.meet(self.known.get(key, Interval())) for interval in alternatives]
-        return [Case(numbers={key: interval}) for interval in intervals if not interval.empty]
+        intervals = [interval.intersect(self.known.get(key, Interval())) for interval in alternatives]
+        return [Case(numbers={key: interval}) for interval in intervals if not interval.is_empty]
 
     def key(self, part: object) -> str:
         """Return a key that is equal for expressions of equal meaning; two draws or two memories never are. Long keys are hashed:
         otherwise nested lets that use each other twice would double the key at each level."""
-        if isinstance(part, Local) and part.binding.role in ("let", "argument") and part.binding.value is not None:
+        if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
             return self.key(part.binding.value)
         known = self.keys.get(id(part))
         if known is None:
@@ -137,14 +137,14 @@ class Reader:
         return f"{type(part).__name__}{tuple(self.key(getattr(part, name)) for name in names)}"
 
 
-def _plain(expr: Expr) -> float | None:
+def _constant_value(expr: Expr) -> float | None:
     """Return the constant number of an expression, also behind a name; else None."""
-    while isinstance(expr, Local) and expr.binding.role in ("let", "argument") and expr.binding.value is not None:
+    while isinstance(expr, BindingRef) and expr.binding.role in ("let", "argument") and expr.binding.value is not None:
         expr = expr.binding.value
     return expr.number if isinstance(expr, Const) and not (expr.u or expr.step) else None
 
 
-def _alone(subject: Expr, edge: float, name: str) -> tuple[Expr, float, str]:
+def _isolate(subject: Expr, edge: float, name: str) -> tuple[Expr, float, str]:
     """`2 * x + 1 > 5` as `x > 2`."""
     while isinstance(subject, Op) and subject.name in ("neg", "add", "sub", "mul", "div"):
         if subject.name == "neg":
@@ -153,7 +153,7 @@ def _alone(subject: Expr, edge: float, name: str) -> tuple[Expr, float, str]:
             continue
         left, right = subject.args
         assert left is not None and right is not None
-        a, b = _plain(left), _plain(right)
+        a, b = _constant_value(left), _constant_value(right)
         if subject.name == "add" and (a is not None or b is not None):
             subject, edge = (left, edge - b) if b is not None else (right, edge - (a or 0.0))
         elif subject.name == "sub" and b is not None:
@@ -167,19 +167,19 @@ def _alone(subject: Expr, edge: float, name: str) -> tuple[Expr, float, str]:
     return subject, edge, name
 
 
-def _both(left: Cases, right: Cases) -> Cases:
+def _combine(left: Cases, right: Cases) -> Cases:
     if len(left) * len(right) > _MOST:
-        raise TooMany
-    return [case for a in left for b in right if (case := a.meet(b)) is not None]
+        raise TooManyCases
+    return [case for a in left for b in right if (case := a.intersect(b)) is not None]
 
 
-def _few(cases: Cases) -> Cases:
+def _limit_cases(cases: Cases) -> Cases:
     if len(cases) > _MOST:
-        raise TooMany
+        raise TooManyCases
     return cases
 
 
-def never(reader: Reader, test: Expr | None) -> bool:
+def is_never(reader: ConditionReader, test: Expr | None) -> bool:
     """Whether a condition cannot hold."""
     try:
         return not reader.cases(test)
@@ -187,7 +187,7 @@ def never(reader: Reader, test: Expr | None) -> bool:
         return False
 
 
-def always(reader: Reader, test: Expr | None) -> bool:
+def is_always(reader: ConditionReader, test: Expr | None) -> bool:
     """Return whether a condition always holds. NaN is ignored, for which no comparison holds."""
     try:
         return not reader.cases(test, False)
@@ -195,9 +195,9 @@ def always(reader: Reader, test: Expr | None) -> bool:
         return False
 
 
-def implies(reader: Reader, narrow: Expr | None, wide: Expr | None) -> bool:
+def implies(reader: ConditionReader, narrow: Expr | None, wide: Expr | None) -> bool:
     """Whether `wide` holds whenever `narrow` does."""
     try:
-        return not _both(reader.cases(narrow), reader.cases(wide, False))
+        return not _combine(reader.cases(narrow), reader.cases(wide, False))
     except NOT_FOLLOWED:
         return False

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import NamedTuple
 
-from antdsl.program.model import Attribute, Const, Expr, Inline, Kind, Local, Op, Param, ParamRef, Reduce
+from antdsl.program.model import Attribute, BindingRef, Const, Expr, InlinedBehaviour, Kind, Op, Param, ParamRef, Reduce
 from antdsl.program.tables.vocabulary import INTERVALS
 
 
@@ -19,10 +19,10 @@ class Interval(NamedTuple):
     high_open: bool = False
 
     @property
-    def empty(self) -> bool:
+    def is_empty(self) -> bool:
         return self.low > self.high or (self.low == self.high and (self.low_open or self.high_open))
 
-    def meet(self, other: Interval) -> Interval:
+    def intersect(self, other: Interval) -> Interval:
         low = max((self.low, self.low_open), (other.low, other.low_open))
         high = min((self.high, not self.high_open), (other.high, not other.high_open))
         return Interval(low[0], high[0], low[1], not high[1])
@@ -46,8 +46,8 @@ def range_of(expr: Expr | None, params: Mapping[str, Param], known: dict[int, In
     if isinstance(expr, Const):
         return Interval(expr.number, expr.number) if not (expr.u or expr.step) else _sign(expr.number)
     if isinstance(expr, ParamRef):
-        return _of_param(params.get(expr.name))
-    if isinstance(expr, Local):
+        return _param_range(params.get(expr.name))
+    if isinstance(expr, BindingRef):
         if expr.binding.role not in ("let", "argument") or expr.binding.value is None:
             return ANY
         if id(expr.binding) not in known:
@@ -55,12 +55,12 @@ def range_of(expr: Expr | None, params: Mapping[str, Param], known: dict[int, In
         return known[id(expr.binding)]
     if isinstance(expr, Attribute):
         return POSITIVE if expr.name.endswith(".time_in_state") else _OWN.get(expr.name, ANY)
-    if isinstance(expr, Inline):
+    if isinstance(expr, InlinedBehaviour):
         return range_of(expr.result, params, known)
     if isinstance(expr, Reduce):
         return POSITIVE if expr.how == "count" else ANY
     if isinstance(expr, Op):
-        return _of_op(expr, params, known)
+        return _operation_range(expr, params, known)
     return ANY
 
 
@@ -69,7 +69,7 @@ def _sign(number: float) -> Interval:
     return Interval(0, 0) if number == 0 else POSITIVE if number > 0 else Interval(-math.inf, 0)
 
 
-def _of_param(param: Param | None) -> Interval:
+def _param_range(param: Param | None) -> Interval:
     if param is None or param.low is None or param.high is None:
         return ANY
     if any(end.u or end.step for end in (param.low, param.high)):
@@ -77,7 +77,7 @@ def _of_param(param: Param | None) -> Interval:
     return Interval(param.low.number, param.high.number)
 
 
-def _of_op(op: Op, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
+def _operation_range(op: Op, params: Mapping[str, Param], known: dict[int, Interval]) -> Interval:
     if op.name in _WORDS:
         return _WORDS[op.name]
     rule = _RULES.get(op.name)
@@ -88,16 +88,16 @@ def _of_op(op: Op, params: Mapping[str, Param], known: dict[int, Interval]) -> I
     return ANY if math.isnan(bounds.low) or math.isnan(bounds.high) else bounds
 
 
-def _products(a: Interval, b: Interval) -> Interval:
+def _product(a: Interval, b: Interval) -> Interval:
     """Return the product of two interval ends; infinity times 0 is 0, because values themselves are finite."""
     ends = [0.0 if 0 in (x, y) else x * y for x in (a.low, a.high) for y in (b.low, b.high)]
     return Interval(min(ends), max(ends))
 
 
-def _divided(a: Interval, b: Interval) -> Interval:
+def _quotient(a: Interval, b: Interval) -> Interval:
     if b.low <= 0 <= b.high:
         return POSITIVE if a.low >= 0 and b.low >= 0 else ANY
-    return _products(a, Interval(1 / b.high, 1 / b.low))
+    return _product(a, Interval(1 / b.high, 1 / b.low))
 
 
 def _absolute(a: Interval) -> Interval:
@@ -108,8 +108,8 @@ _RULES: dict[str, Callable[[list[Interval]], Interval]] = {
     "neg": lambda p: Interval(-p[0].high, -p[0].low),
     "add": lambda p: Interval(p[0].low + p[1].low, p[0].high + p[1].high),
     "sub": lambda p: Interval(p[0].low - p[1].high, p[0].high - p[1].low),
-    "mul": lambda p: _products(p[0], p[1]),
-    "div": lambda p: _divided(p[0], p[1]),
+    "mul": lambda p: _product(p[0], p[1]),
+    "div": lambda p: _quotient(p[0], p[1]),
     "abs": lambda p: _absolute(p[0]),
     "min": lambda p: Interval(min(p[0].low, p[1].low), min(p[0].high, p[1].high)),
     "max": lambda p: Interval(max(p[0].low, p[1].low), max(p[0].high, p[1].high)),

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import IntEnum
 
-from antdsl.program.model import Attribute, Binding, Const, Expr, Inline, Local, Op, Reduce, Thing
+from antdsl.program.model import Attribute, Binding, BindingRef, Const, Expr, InlinedBehaviour, Op, Reduce, ThingRef
 from antdsl.program.tables.vocabulary import DRAWS
 from antdsl.program.traverse import parts
 
@@ -32,7 +32,7 @@ class Influence(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Short:
+class ShortStepValue:
     """The behaviour of a value for small `dt`. It is proportional to `dt ** power`; with `power` above 0 it vanishes. `to` is its
     limit, if known. Its deviation from the limit, or from the value read, is proportional to `dt ** off`; infinite if `dt` has no
     influence. `makers`: the first two operations that change the value read. `by`: the operation that causes the deviation, or in
@@ -50,38 +50,40 @@ class Short:
         return self.influence <= Influence.VANISHING and self.power > 0
 
     @property
-    def timed(self) -> bool:
+    def depends_on_dt(self) -> bool:
         return self.influence <= Influence.VANISHING and (
             self.off < math.inf or self.power < 0 or self.influence is Influence.VANISHING
         )
 
 
-Below = Sequence[Short]
-_UNSURE = Short(Influence.UNSURE)
+Below = Sequence[ShortStepValue]
+_UNSURE = ShortStepValue(Influence.UNSURE)
 _QUERIES = frozenset(("lt", "le", "gt", "ge", "eq", "ne", "is_some", "is_none", "chance", "event", "touching"))
 _NOW_AND_THEN = frozenset(("chance", "event"))  # they come as often at any frame rate
 
 
-def changers(value: Expr, own: Own, driven: bool = False) -> tuple[Expr, ...]:
+def find_changers(value: Expr, own: Own, driven: bool = False) -> tuple[Expr, ...]:
     """Return the operations, at most two, that change a value however short a step is, or not in proportion to it. Empty if the
     update is independent of the frame rate, or uses the unit `step`, which `--strict` reports. `driven`: something else also
     changes the value."""
-    short = _short(value, own, driven)
+    short = _analyse(value, own, driven)
     if short.influence is Influence.CHANGED:
         makers = short.makers
     else:
-        wrong = short.influence is Influence.VANISHING or (short.influence is Influence.SAME and not _like_time(short.off, value))
+        wrong = short.influence is Influence.VANISHING or (
+            short.influence is Influence.SAME and not _grows_with_time(short.off, value)
+        )
         makers = (short.by,) if wrong and short.by is not None else ()
-    return tuple(each for each in makers if not _by_step(each))
+    return tuple(each for each in makers if not _uses_step_unit(each))
 
 
 def is_rate(value: Expr, own: Own) -> bool:
     """Whether a value that is added times `dt` is so much a second, by the same measure."""
-    short = _short(value, own, False)
-    return short.influence is Influence.UNSURE or _like_time(short.power + 1, value) or _by_step(value)
+    short = _analyse(value, own, False)
+    return short.influence is Influence.UNSURE or _grows_with_time(short.power + 1, value) or _uses_step_unit(value)
 
 
-def timed(value: Expr) -> bool:
+def depends_on_step(value: Expr) -> bool:
     """Return whether an expression depends on the length of a step."""
     return any(_is_dt(part) or (isinstance(part, Const) and bool(part.step)) for part in parts(value))
 
@@ -89,51 +91,55 @@ def timed(value: Expr) -> bool:
 def is_own(part: Expr, own: Own) -> bool:
     if isinstance(own, str):
         return isinstance(part, Attribute) and part.of is None and part.name == own
-    return isinstance(part, Local) and part.binding is own
+    return isinstance(part, BindingRef) and part.binding is own
 
 
 def reads(expr: Expr, own: Own) -> bool:
     return any(isinstance(part, Expr) and is_own(part, own) for part in parts(expr))
 
 
-def _like_time(power: float, value: Expr) -> bool:
+def _grows_with_time(power: float, value: Expr) -> bool:
     """Return whether something grows with time. A new draw in each step does so by its square, and grows like the root."""
     if power == math.inf or math.isclose(power, 1):
         return True
     return math.isclose(power, 0.5) and any(isinstance(part, Op) and part.name in DRAWS for part in parts(value))
 
 
-def _by_step(value: Expr) -> bool:
+def _uses_step_unit(value: Expr) -> bool:
     return any(isinstance(part, Const) and part.step for part in parts(value))
 
 
 def _is_dt(part: object) -> bool:
-    return isinstance(part, Op) and part.name == "run" and isinstance(part.args[0], Thing) and part.args[0].name == "dt"
+    return isinstance(part, Op) and part.name == "run" and isinstance(part.args[0], ThingRef) and part.args[0].name == "dt"
 
 
 # --- through an expression -------------------------------------------------------------------------------------------
 
 
-def _short(value: Expr, own: Own, driven: bool) -> Short:
-    known: dict[int, Short] = {}
-    for part in _upward(value, own):
-        below = [known[id(each)] for each in _below(part, own)]
+def _analyse(value: Expr, own: Own, driven: bool) -> ShortStepValue:
+    known: dict[int, ShortStepValue] = {}
+    for part in _dependencies(value, own):
+        below = [known[id(each)] for each in _operands(part, own)]
         if is_own(part, own):
-            short = Short(Influence.SAME)
+            short = ShortStepValue(Influence.SAME)
         elif isinstance(part, Op):
-            short = _chosen(part, below, own, driven) if part.name == "if" else _RULES.get(part.name, _other)(part, below)
+            short = (
+                _conditional(part, below, own, driven)
+                if part.name == "if"
+                else _RULES.get(part.name, _unknown_operation)(part, below)
+            )
         elif isinstance(part, Const):
-            short = _constant(part)
+            short = _constant_value(part)
         elif isinstance(part, Reduce):
-            short = _together(part, below)
-            short = short if short.vanishes else Short()  # what is read inside a set is about the others
+            short = _combination(part, below)
+            short = short if short.vanishes else ShortStepValue()  # what is read inside a set is about the others
         else:
-            short = below[0] if below else Short()
+            short = below[0] if below else ShortStepValue()
         known[id(part)] = short
     return known[id(value)]
 
 
-def _upward(value: Expr, own: Own) -> Iterator[Expr]:
+def _dependencies(value: Expr, own: Own) -> Iterator[Expr]:
     """Yield the parts of an expression that contribute to its value, each once, operands first."""
     stack: list[tuple[Expr, bool]] = [(value, False)]
     visited: set[int] = set()
@@ -144,45 +150,45 @@ def _upward(value: Expr, own: Own) -> Iterator[Expr]:
         elif id(part) not in visited:
             visited.add(id(part))
             stack.append((part, True))
-            stack += [(each, False) for each in reversed(_below(part, own))]
+            stack += [(each, False) for each in reversed(_operands(part, own))]
 
 
-def _below(part: Expr, own: Own) -> list[Expr]:
+def _operands(part: Expr, own: Own) -> list[Expr]:
     if is_own(part, own):
         return []
-    if isinstance(part, Local) and part.binding.role in ("let", "argument") and part.binding.value is not None:
+    if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
         return [part.binding.value]
-    if isinstance(part, Inline):
+    if isinstance(part, InlinedBehaviour):
         return [part.result]
     if isinstance(part, Reduce):
         return [part.body] if part.how in ("sum", "mean", "min", "max") and part.body is not None else []
     return [arg for arg in part.args if arg is not None] if isinstance(part, Op) else []
 
 
-def _constant(part: Const) -> Short:
+def _constant_value(part: Const) -> ShortStepValue:
     if part.number == 0:
         return _vanishing(math.inf)
     if part.step:
-        return _vanishing(part.step) if part.step > 0 else Short(power=part.step)
-    return Short(to=None if part.u else part.number)
+        return _vanishing(part.step) if part.step > 0 else ShortStepValue(power=part.step)
+    return ShortStepValue(to=None if part.u else part.number)
 
 
 # --- one operation ---------------------------------------------------------------------------------------------------
 
 
-def _vanishing(power: float, influence: Influence = Influence.NONE, by: Expr | None = None) -> Short:
-    return Short(influence, power, 0.0, power, by=by)
+def _vanishing(power: float, influence: Influence = Influence.NONE, by: Expr | None = None) -> ShortStepValue:
+    return ShortStepValue(influence, power, 0.0, power, by=by)
 
 
-def _first(below: Iterable[Short], *extra: Expr) -> tuple[Expr, ...]:
+def _collect_changers(below: Iterable[ShortStepValue], *extra: Expr) -> tuple[Expr, ...]:
     return tuple(dict.fromkeys([*(each for one in below for each in one.makers), *extra]))[:2]
 
 
-def _changed(op: Expr, below: Below) -> Short:
-    return Short(Influence.CHANGED, min([0.0, *(each.power for each in below)]), makers=_first(below, op))
+def _changed_value(op: Expr, below: Below) -> ShortStepValue:
+    return ShortStepValue(Influence.CHANGED, min([0.0, *(each.power for each in below)]), makers=_collect_changers(below, op))
 
 
-def _with_offset(own: Short, off: float, by: Expr | None) -> Short:
+def _with_offset(own: ShortStepValue, off: float, by: Expr | None) -> ShortStepValue:
     """Return the value read, with an added deviation proportional to `dt ** off`."""
     return replace(own, off=off, by=by) if own.influence is Influence.SAME and off < own.off else own
 
@@ -191,11 +197,11 @@ def _strongest_influence(below: Below) -> Influence:
     return max((each.influence for each in below), default=Influence.NONE)
 
 
-def _near(value: float | None, number: float) -> bool:
+def _is_near(value: float | None, number: float) -> bool:
     return value is not None and math.isclose(value, number, abs_tol=1e-12)
 
 
-def _sum(op: Op, below: Below) -> Short:
+def _sum(op: Op, below: Below) -> ShortStepValue:
     a, b = below
     if op.name == "sub" and _has_floor(op.args[1]):
         return a  # `x - floor(x)`: put back into its range
@@ -203,23 +209,25 @@ def _sum(op: Op, below: Below) -> Short:
     if own.influence is Influence.UNSURE:
         return _UNSURE
     if own.influence is Influence.CHANGED:
-        return replace(own, makers=_first(below, *(() if other.vanishes or other.influence is Influence.UNSURE else (op,))))
+        return replace(
+            own, makers=_collect_changers(below, *(() if other.vanishes or other.influence is Influence.UNSURE else (op,)))
+        )
     if own.influence is Influence.SAME:
         if other.influence is Influence.SAME or not other.vanishes or (op.name == "sub" and own is b):
-            return _changed(op, below)
+            return _changed_value(op, below)
         return _with_offset(own, other.power, op)
     off = min(a.off, b.off)
     to = None if a.to is None or b.to is None else a.to - b.to if op.name == "sub" else a.to + b.to
-    if _near(to, 0):
+    if _is_near(to, 0):
         return _vanishing(off, own.influence, own.by)
-    return Short(power=min(a.power, b.power, 0.0), to=to, off=off)
+    return ShortStepValue(power=min(a.power, b.power, 0.0), to=to, off=off)
 
 
 def _has_floor(expr: Expr | None) -> bool:
     return any(isinstance(part, Op) and part.name == "floor" for part in parts(expr))
 
 
-def _product(op: Op, below: Below) -> Short:
+def _product(op: Op, below: Below) -> ShortStepValue:
     a, b = below
     if Influence.UNSURE in (a.influence, b.influence):
         return _UNSURE
@@ -229,50 +237,52 @@ def _product(op: Op, below: Below) -> Short:
         return _vanishing(power, min(own.influence, Influence.VANISHING), op if own.influence >= Influence.SAME else own.by)
     if own.influence is Influence.NONE:
         to = a.to * b.to if a.to is not None and b.to is not None and power == 0 else None
-        return Short(power=power, to=to, off=min(a.off, b.off))
-    if own.influence >= Influence.SAME and other.influence is Influence.NONE and _near(other.to, 1):
+        return ShortStepValue(power=power, to=to, off=min(a.off, b.off))
+    if own.influence >= Influence.SAME and other.influence is Influence.NONE and _is_near(other.to, 1):
         return _with_offset(own, other.off, op)
-    return replace(_changed(op, below), power=power)
+    return replace(_changed_value(op, below), power=power)
 
 
-def _quotient(op: Op, below: Below) -> Short:
+def _quotient(op: Op, below: Below) -> ShortStepValue:
     a, b = below
     if b.influence > Influence.VANISHING:
-        return _product(op, (a, b if b.influence is Influence.UNSURE else _changed(op, (b,))))
+        return _product(op, (a, b if b.influence is Influence.UNSURE else _changed_value(op, (b,))))
     if b.power == math.inf:
         return _UNSURE
-    return _product(op, (a, Short(b.influence, -b.power, 1 / b.to if b.to else None, b.off if b.to else math.inf, by=b.by)))
+    return _product(
+        op, (a, ShortStepValue(b.influence, -b.power, 1 / b.to if b.to else None, b.off if b.to else math.inf, by=b.by))
+    )
 
 
-def _negative(op: Op, below: Below) -> Short:
+def _negative(op: Op, below: Below) -> ShortStepValue:
     a = below[0]
     if a.influence is Influence.UNSURE or a.influence <= Influence.VANISHING:
         return replace(a, to=None if a.to is None else -a.to)
-    return _changed(op, below)
+    return _changed_value(op, below)
 
 
-def _root(op: Op, below: Below) -> Short:
-    return _raised(op, (*below, Short(to=0.5)))
+def _root(op: Op, below: Below) -> ShortStepValue:
+    return _power(op, (*below, ShortStepValue(to=0.5)))
 
 
-def _raised(op: Op, below: Below) -> Short:
+def _power(op: Op, below: Below) -> ShortStepValue:
     a, b = below
     if Influence.UNSURE in (a.influence, b.influence) or b.influence is Influence.VANISHING:
         return _UNSURE
     if b.influence > Influence.VANISHING or a.influence > Influence.VANISHING:
-        if a.influence is Influence.SAME and _near(b.to, 1):
+        if a.influence is Influence.SAME and _is_near(b.to, 1):
             return a if b.off == math.inf else _UNSURE
-        return _UNSURE if b.timed else _changed(op, below)
+        return _UNSURE if b.depends_on_dt else _changed_value(op, below)
     if b.to is None:
-        return _UNSURE if a.timed or b.timed else Short()
+        return _UNSURE if a.depends_on_dt or b.depends_on_dt else ShortStepValue()
     if b.vanishes:
-        return Short(to=1.0, off=b.off) if a.power == 0 else _UNSURE
-    if a.power and not b.timed:
-        return _vanishing(a.power * b.to, a.influence, a.by) if a.power * b.to > 0 else Short(power=a.power * b.to)
-    return Short(to=None if a.to is None else _worth(lambda x: x ** (b.to or 0.0), a.to), off=min(a.off, b.off))
+        return ShortStepValue(to=1.0, off=b.off) if a.power == 0 else _UNSURE
+    if a.power and not b.depends_on_dt:
+        return _vanishing(a.power * b.to, a.influence, a.by) if a.power * b.to > 0 else ShortStepValue(power=a.power * b.to)
+    return ShortStepValue(to=None if a.to is None else _evaluate(lambda x: x ** (b.to or 0.0), a.to), off=min(a.off, b.off))
 
 
-def _worth(function: Callable[[float], float], at: float) -> float | None:
+def _evaluate(function: Callable[[float], float], at: float) -> float | None:
     try:
         result = function(at)
     except (ValueError, OverflowError, ZeroDivisionError):
@@ -280,76 +290,84 @@ def _worth(function: Callable[[float], float], at: float) -> float | None:
     return result if isinstance(result, float) and math.isfinite(result) else None
 
 
-def _function(function: Callable[[float], float]) -> Callable[[Op, Below], Short]:
-    def rule(op: Op, below: Below) -> Short:
+def _function_rule(function: Callable[[float], float]) -> Callable[[Op, Below], ShortStepValue]:
+    def rule(op: Op, below: Below) -> ShortStepValue:
         a = below[0]
         if a.influence > Influence.VANISHING:
-            return _UNSURE if a.influence is Influence.UNSURE else _changed(op, below)
+            return _UNSURE if a.influence is Influence.UNSURE else _changed_value(op, below)
         if a.power < 0:
             return _UNSURE
-        to = None if a.to is None else _worth(function, a.to)
-        return _vanishing(a.off, a.influence, a.by) if _near(to, 0) else Short(to=to, off=a.off)
+        to = None if a.to is None else _evaluate(function, a.to)
+        return _vanishing(a.off, a.influence, a.by) if _is_near(to, 0) else ShortStepValue(to=to, off=a.off)
 
     return rule
 
 
-def _mixed(op: Op, below: Below) -> Short:
+def _mix(op: Op, below: Below) -> ShortStepValue:
     a, b, share = below
     if share.influence is Influence.UNSURE:
         return _UNSURE
     for side, end in ((a, 0), (b, 1)):
-        if share.influence <= Influence.VANISHING and _near(share.to, end):
+        if share.influence <= Influence.VANISHING and _is_near(share.to, end):
             if side.influence is Influence.NONE:
                 return replace(side, off=min(side.off, share.off), power=min(side.power, share.off) if side.power else 0.0)
             return _with_offset(side, share.off, op)
-    return _together(op, below[:2]) if share.influence is Influence.NONE else _changed(op, below)
+    return _combination(op, below[:2]) if share.influence is Influence.NONE else _changed_value(op, below)
 
 
-def _turned(op: Op, below: Below) -> Short:
+def _rotation(op: Op, below: Below) -> ShortStepValue:
     own, by = below[0], below[-1]
     if not by.vanishes:
-        return _together(op, below)
+        return _combination(op, below)
     return _with_offset(own, by.power, op) if own.influence >= Influence.SAME else own
 
 
-def _together(op: Expr, below: Below) -> Short:
+def _combination(op: Expr, below: Below) -> ShortStepValue:
     """Made of several, as a vector of its numbers and a draw between two ends: it vanishes where all of them do."""
     influence = _strongest_influence(below)
     if influence >= Influence.SAME:
-        return _UNSURE if influence is Influence.UNSURE else _changed(op, below)
+        return _UNSURE if influence is Influence.UNSURE else _changed_value(op, below)
     if below and all(each.vanishes for each in below):
         return _vanishing(min(each.power for each in below), influence, next((each.by for each in below if each.by), None))
-    return Short(power=min([0.0, *(each.power for each in below)]), off=min((each.off for each in below), default=math.inf))
+    return ShortStepValue(
+        power=min([0.0, *(each.power for each in below)]), off=min((each.off for each in below), default=math.inf)
+    )
 
 
-def _of_the_first(op: Op, below: Below) -> Short:
+def _first_operand(op: Op, below: Below) -> ShortStepValue:
     """Analyse a length or a component of a vector: it vanishes if the vector does."""
     a = below[0]
-    return a if a.influence <= Influence.VANISHING else _as_it_is(op, below) if op.name != "length" else _together(op, below[:1])
+    return (
+        a
+        if a.influence <= Influence.VANISHING
+        else _pass_through(op, below)
+        if op.name != "length"
+        else _combination(op, below[:1])
+    )
 
 
-def _as_it_is(op: Op, below: Below) -> Short:
+def _pass_through(op: Op, below: Below) -> ShortStepValue:
     influence = _strongest_influence(below)
     if influence is Influence.CHANGED:
-        return replace(next(each for each in below if each.influence is influence), makers=_first(below))
+        return replace(next(each for each in below if each.influence is influence), makers=_collect_changers(below))
     if influence is Influence.SAME:
         return min((each for each in below if each.influence is influence), key=lambda each: each.off)
-    return _other(op, below)
+    return _unknown_operation(op, below)
 
 
-def _bounded(op: Op, below: Below) -> Short:
+def _clamp(op: Op, below: Below) -> ShortStepValue:
     """Analyse `min`, `max` and `clamp`: for known numbers, the result is known."""
     tos = [each.to for each in below if each.to is not None]
     if _strongest_influence(below) > Influence.VANISHING or len(tos) < len(below):
-        return _as_it_is(op, below)
+        return _pass_through(op, below)
     to = min(max(tos[0], tos[1]), tos[2]) if op.name == "clamp" else min(tos) if op.name == "min" else max(tos)
     left = [each for each in below if each.to == to]
     off = min(each.off for each in left)
     by = next((each.by for each in left if each.by), None)
-    return _vanishing(off, _strongest_influence(left), by) if _near(to, 0) else Short(to=to, off=off)
+    return _vanishing(off, _strongest_influence(left), by) if _is_near(to, 0) else ShortStepValue(to=to, off=off)
 
 
-def _chosen(op: Op, below: Below, own: Own, driven: bool) -> Short:
+def _conditional(op: Op, below: Below, own: Own, driven: bool) -> ShortStepValue:
     """Analyse `if`. Changes by chance or by an event happen equally often at any rate. A value that another line drives out of
     its range is only moved back: `if turn > 1 then turn - 1 else turn`."""
     test, *ends = op.args
@@ -357,40 +375,41 @@ def _chosen(op: Op, below: Below, own: Own, driven: bool) -> Short:
     branches = below[1:]
     influence = _strongest_influence(branches)
     if influence < Influence.SAME:
-        return _together(op, branches)
+        return _combination(op, branches)
     back = driven and reads(test, own) and any(end is not None and is_own(end, own) for end in ends)
     if back or any(isinstance(each, Op) and each.name in _NOW_AND_THEN for each in parts(test)):
-        return Short(Influence.SAME)
+        return ShortStepValue(Influence.SAME)
     lost = [each.by for each in branches if each.influence is Influence.VANISHING and each.by is not None]
     return (
-        Short(Influence.CHANGED, makers=_first(branches, *lost))
+        ShortStepValue(Influence.CHANGED, makers=_collect_changers(branches, *lost))
         if lost and influence is not Influence.UNSURE
-        else _as_it_is(op, branches)
+        else _pass_through(op, branches)
     )
 
 
-def _query(op: Op, below: Below) -> Short:
-    return Short()  # an answer; what is done by it is seen where it is used
+def _query(op: Op, below: Below) -> ShortStepValue:
+    return ShortStepValue()  # an answer; what is done by it is seen where it is used
 
 
-def _run(op: Op, below: Below) -> Short:
-    return _vanishing(1.0) if _is_dt(op) else Short()
+def _run_value(op: Op, below: Below) -> ShortStepValue:
+    return _vanishing(1.0) if _is_dt(op) else ShortStepValue()
 
 
-def _other(op: Op, below: Below) -> Short:
+def _unknown_operation(op: Op, below: Below) -> ShortStepValue:
     influence = _strongest_influence(below)
-    if influence is Influence.UNSURE or any(each.timed for each in below):
+    if influence is Influence.UNSURE or any(each.depends_on_dt for each in below):
         return _UNSURE
-    return _changed(op, below) if influence >= Influence.SAME else Short()
+    return _changed_value(op, below) if influence >= Influence.SAME else ShortStepValue()
 
 
-_RULES: dict[str, Callable[[Op, Below], Short]] = {
+_RULES: dict[str, Callable[[Op, Below], ShortStepValue]] = {
     "add": _sum, "sub": _sum, "mul": _product, "div": _quotient, "dot": _product, "cross": _product, "neg": _negative,
-    "pow": _raised, "sqrt": _root, "exp": _function(math.exp), "log": _function(math.log), "sin": _function(math.sin),
-    "cos": _function(math.cos), "mix": _mixed, "rotate": _turned, "run": _run,
-    "min": _bounded, "max": _bounded, "clamp": _bounded,
-    "abs": _of_the_first, "limit": _of_the_first, "project": _of_the_first, "length": _of_the_first,
-    **dict.fromkeys(("first", "floor", "unit", "and", "or"), _as_it_is),
-    **dict.fromkeys(("vector", "uniform", "normal", "pick"), _together),
+    "pow": _power, "sqrt": _root, "exp": _function_rule(math.exp), "log": _function_rule(math.log),
+    "sin": _function_rule(math.sin),
+    "cos": _function_rule(math.cos), "mix": _mix, "rotate": _rotation, "run": _run_value,
+    "min": _clamp, "max": _clamp, "clamp": _clamp,
+    "abs": _first_operand, "limit": _first_operand, "project": _first_operand, "length": _first_operand,
+    **dict.fromkeys(("first", "floor", "unit", "and", "or"), _pass_through),
+    **dict.fromkeys(("vector", "uniform", "normal", "pick"), _combination),
     **dict.fromkeys(_QUERIES, _query),
 }  # fmt: skip

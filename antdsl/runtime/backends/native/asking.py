@@ -16,7 +16,7 @@ from antdsl.plan import ir
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.runtime.backends.compile import Instruction
 from antdsl.runtime.backends.native.block import BlockWriter
-from antdsl.runtime.backends.native.senses import fetch_ahead
+from antdsl.runtime.backends.native.senses import prefetch_cells
 from antdsl.runtime.requests import ClaimEntry, Effects, GiveEntry, RequestEntry
 
 
@@ -24,12 +24,12 @@ def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
     """As `fields.pheromone.PheromoneField.deposit`: whole numbers of a unit, which add in any order."""
     e, mask, name = b.e, b.mask[-1], what.of
     amount: Lanes = b.slot(each.inputs[0])
-    mask = _sound(b, mask, amount, EFFECTS[what.op].refused.format(of=name), each)
+    mask = _check_finite(b, mask, amount, EFFECTS[what.op].refused.format(of=name), each)
     cell = e.read(b.base("cell", name), b.row, I32)
     laid = mask & (cell >= 0) & (amount != 0)
-    fetch_ahead(b, name, b.base("field", name, "pending"), 8)
+    prefetch_cells(b, name, b.base("field", name, "pending"), 8)
     with e.inside(e.any_lane(laid)):
-        wide = e.between(e.convert(amount, F64), e.constant(-LARGEST_DEPOSIT, F64), e.constant(LARGEST_DEPOSIT, F64))
+        wide = e.clamp(e.convert(amount, F64), e.constant(-LARGEST_DEPOSIT, F64), e.constant(LARGEST_DEPOSIT, F64))
         amounts, cells = e.slot(I64, WIDTH), e.slot(I32, WIDTH)
         e.put(amounts, e.rounded_bits(wide / UNIT))
         e.put(cells, cell)
@@ -48,7 +48,7 @@ def _deposit(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
         e.put(b.base("laid", name), e.constant(1, I8, 1))
 
 
-def _write_down(b: BlockWriter, each: Instruction, mask: Lanes, values: list[Lanes]) -> None:
+def _append_rows(b: BlockWriter, each: Instruction, mask: Lanes, values: list[Lanes]) -> None:
     """Append the rows of those of eight agents with a true condition to a statement's list, and a value of each beside."""
     e, number = b.e, len(b.code.lists)
     b.code.lists.append(each)
@@ -76,7 +76,7 @@ def _write_down(b: BlockWriter, each: Instruction, mask: Lanes, values: list[Lan
         e.put(total, old_total + count)
 
 
-def _sound(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, by: Instruction) -> Lanes:
+def _check_finite(b: BlockWriter, mask: Lanes, amount: Lanes, what: str, by: Instruction) -> Lanes:
     """Return the mask of agents with a finite amount; the others are at fault."""
     good: Lanes = np.isfinite(amount)
     b.refuse(mask & ~good, what, by)
@@ -97,7 +97,7 @@ def _request(b: BlockWriter, each: Instruction, what: ir.Request) -> None:
         mask = mask & good
     if row.above_0 and what.args[0] is not None:
         mask = mask & (args[0] > 0)
-    _write_down(b, each, mask, args)
+    _append_rows(b, each, mask, args)
 
 
 def _claim(b: BlockWriter, each: Instruction, what: ir.Claim) -> None:
@@ -106,8 +106,8 @@ def _claim(b: BlockWriter, each: Instruction, what: ir.Claim) -> None:
     amount = e.constant(np.inf, F32)
     if what.amount is not None:
         amount = b.slot(next(slots))
-        mask = _sound(b, mask, amount, f"take {what.attribute or what.of}", each)
-    _write_down(b, each, mask, [item, amount])
+        mask = _check_finite(b, mask, amount, f"take {what.attribute or what.of}", each)
+    _append_rows(b, each, mask, [item, amount])
 
 
 def _give(b: BlockWriter, each: Instruction, what: ir.Give) -> None:
@@ -117,14 +117,14 @@ def _give(b: BlockWriter, each: Instruction, what: ir.Give) -> None:
     amount = had
     if what.amount is not None:
         amount = b.slot(each.inputs[1])
-        mask = _sound(b, mask, amount, f"give {what.own}", each)
+        mask = _check_finite(b, mask, amount, f"give {what.own}", each)
     is_valid = mask & (item >= 0) & (item < b.number(I32, "items", what.items))
     zero = e.constant(0.0, F32)
     most = e.where(had > zero, had, zero)
     cut = e.where(amount > zero, amount, zero)
     left = had - e.where(cut < most, cut, most) + zero
     e.write_where(is_valid, own, b.row, left)
-    _write_down(b, each, is_valid, [item, e.convert(had, F64) - e.convert(left, F64)])
+    _append_rows(b, each, is_valid, [item, e.convert(had, F64) - e.convert(left, F64)])
 
 
 def ask(b: BlockWriter, each: Instruction) -> None:

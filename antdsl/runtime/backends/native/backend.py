@@ -11,16 +11,16 @@ from numpy.typing import NDArray
 from antdsl.machine_code import codes, machine
 from antdsl.machine_code.kinds import WIDTH
 from antdsl.plan import ir
-from antdsl.plan.traverse import needed
+from antdsl.plan.traverse import required_nodes
 from antdsl.runtime.backends.native import listing
-from antdsl.runtime.backends.native.block import Near
-from antdsl.runtime.backends.native.grids import Arrays, Grids
-from antdsl.runtime.backends.native.programs import Facts, program
-from antdsl.runtime.backends.native.ready import Ready, Unavailable, beside, find, known
-from antdsl.runtime.backends.native.rooms import Rooms
+from antdsl.runtime.backends.native.block import NeighbourSearch
+from antdsl.runtime.backends.native.grids import Arrays, SearchGrids
+from antdsl.runtime.backends.native.programs import WorldFacts, program
+from antdsl.runtime.backends.native.ready import CodeUnavailable, ReadyCode, find, find_ready, start_building
+from antdsl.runtime.backends.native.rooms import PaddedArrays
 from antdsl.runtime.backends.native.runner import Block
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
-from antdsl.runtime.backends.reference import Agent
+from antdsl.runtime.backends.reference import AgentRun
 from antdsl.runtime.requests import Effects
 from antdsl.runtime.world import AXES, Population, World
 
@@ -39,18 +39,19 @@ class NativeBackend(NumpyBackend):
     def __init__(self, plan: ir.Plan) -> None:
         super().__init__(plan)
         self._plan = plan
-        self._coming: Future[Ready] | None = None
+        self._coming: Future[ReadyCode] | None = None
         self._without: str | None = None  # why there is no machine code and will be none
         self._begun = False
-        self._sought: set[Facts] = set()  # of code that was sought in the store
-        self.ready: Ready | None = None
+        self._sought: set[WorldFacts] = set()  # of code that was sought in the store
+        self.ready: ReadyCode | None = None
         self._running: dict[tuple[str, str], Block] = {}
         self._timed = False  # the code to run or to load is timed by line
-        self._aside: tuple[Ready | None, Future[Ready] | None, dict[tuple[str, str], Block]] = (None, None, {})  # the other code
-        self._rooms = Rooms()
+        # the other code
+        self._aside: tuple[ReadyCode | None, Future[ReadyCode] | None, dict[tuple[str, str], Block]] = (None, None, {})
+        self._rooms = PaddedArrays()
         self._versions: list[int] = []
         self._widest: dict[tuple[str, str, int], float] = {}
-        self._grids = Grids()
+        self._grids = SearchGrids()
 
     @property
     def by(self) -> str:
@@ -66,14 +67,14 @@ class NativeBackend(NumpyBackend):
 
     def begin(self, world: World) -> None:
         """Set the values of the step and clear sensed values. Switches to machine code that has become ready."""
-        self._look_for_code(world, world.options.wait_for_code)
+        self._request_code(world, world.options.wait_for_code)
         self._begun = True
         versions = [population.version for population in world.populations.values()]
         if versions != self._versions:
             self._versions = versions
-            self._rooms.forget()
-        self._rooms.settle(world.populations.values())
-        self._grids.forget()
+            self._rooms.drop_unused()
+        self._rooms.begin_step(world.populations.values())
+        self._grids.begin_step()
         super().begin(world)
 
     def messages(self) -> list[str]:
@@ -81,39 +82,39 @@ class NativeBackend(NumpyBackend):
         sentences = [] if self._without is None else [self._without]
         return sentences + codes.messages()
 
-    def have_code(self, world: World) -> None:
+    def wait_for_code(self, world: World) -> None:
         """Wait until the steps from now on run as machine code, or cannot."""
-        self._look_for_code(world, True)
+        self._request_code(world, True)
 
     def counts(self) -> dict[str, int]:
         """Return the number of LLVM instructions of each function, compiled for a generic processor."""
         if self.ready is None:
             return {}
         native_program = program(self._plan, self.blocks, self.ready.facts, machine.ANY)
-        return {f"instructions {name}": number for name, number in listing.counts(native_program).items()}
+        return {f"instructions {name}": number for name, number in listing.instruction_counts(native_program).items()}
 
-    def _look_for_code(self, world: World, waits: bool) -> None:
+    def _request_code(self, world: World, waits: bool) -> None:
         """Have code made once steps will pay for it, unless it is there: after the first step, which somebody waits for. Code
         that an earlier run has stored is loaded before the step."""
         if self.ready is not None or self._without is not None:
             return
-        if self._timed and machine.available() and not machine.host().x86:
+        if self._timed and machine.is_available() and not machine.host().x86:
             return  # elsewhere a program may not be allowed to read the counter
-        facts = Facts.of(world.setting, timed=self._timed)
-        ready = known(world.plan, facts)
+        facts = WorldFacts.of(world.setting, timed=self._timed)
+        ready = find_ready(world.plan, facts)
         pays = len(world) >= _MANY or sum(world.worked.values()) >= _LOADING
         if ready is None and self._coming is None and (waits or pays):
             is_first = facts not in self._sought
             self._sought.add(facts)
             stored = find(world.plan, self.blocks, facts) if is_first else None
             if waits or self._begun or stored is not None:
-                self._coming = beside(world.plan, self.blocks, facts, stored)
+                self._coming = start_building(world.plan, self.blocks, facts, stored)
                 if stored is not None:
                     wait([self._coming], _LOADED)
         if self._coming is not None and (waits or self._coming.done()):
             try:
                 ready = self._coming.result()
-            except Unavailable as why:
+            except CodeUnavailable as why:
                 self._without = f"NumPy runs instead of machine code, slower and with the same result: {why}"
             except Exception as problem:
                 if waits:
@@ -128,13 +129,13 @@ class NativeBackend(NumpyBackend):
     def run(self, world: World, population: Population, block: str, rows: NDArray[np.intp] | None = None) -> None:
         """Run a block for some rows (None: all), and add their requests to the population's effects. NumPy runs births."""
         name = population.name
-        code = None if rows is not None else self._running.get((name, block)) or self._code(name, block)
+        code = None if rows is not None else self._running.get((name, block)) or self._ready_block(name, block)
         metered = self.metered.get((name, block)) if self.metered else None
         if code is None or (code.code.lines is None) != (metered is None):
             super().run(world, population, block, rows)
             return
         near = code.code.near
-        grids = [self._cells(world, population, block, each, number) for number, each in enumerate(near)]
+        grids = [self._search_cells(world, population, block, each, number) for number, each in enumerate(near)]
         values, tables = self._values[name], code.tables
         tables.fill(world, population, values, self._lasting[name], self._kept[name], grids)
         for begin, end in code.run(world, population, values, metered):
@@ -142,7 +143,7 @@ class NativeBackend(NumpyBackend):
         for lane in tables.lanes.every:
             for field, laid in lane.laid.items():
                 if laid[0]:
-                    world.fields[field].touch()
+                    world.fields[field].mark_pending()
                     laid[0] = False
         for number in range(len(near)):
             key, widest = (name, block, number), [lane.widest[number] for lane in tables.lanes.every]
@@ -150,37 +151,37 @@ class NativeBackend(NumpyBackend):
             for each in widest:
                 each.fill(0)
 
-    def _code(self, species: str, block: str) -> Block | None:
+    def _ready_block(self, species: str, block: str) -> Block | None:
         """A block's machine code, made ready to run; None where it has none."""
         if self.ready is None or (species, block) not in self.ready.written:
             return None
         native_block = self._running[species, block] = Block(self.ready, species, block, self._rooms)
         return native_block
 
-    def _cells(self, world: World, population: Population, block: str, near: Near, number: int) -> Arrays:
+    def _search_cells(self, world: World, population: Population, block: str, near: NeighbourSearch, number: int) -> Arrays:
         """Return the cells for a search. They suit the greatest radius of the previous step, or at first the result of
-        `_guessed`."""
+        `_estimate_radius`."""
         key = (population.name, block, number)
         other = world.populations[near.species]
         if key not in self._widest:
-            self._widest[key] = _guessed(world, population, other, [chosen.args[0] for chosen in near.sets])
+            self._widest[key] = _estimate_radius(world, population, other, [chosen.args[0] for chosen in near.sets])
         widest = self._widest[key]
         beside = [(names, [other.start[name] for name in names.split()]) for names in near.beside]
         return self._grids.of(world, other, widest if widest > 0 else 1.0, beside)
 
 
-def _guessed(world: World, population: Population, other: Population, radii: list[ir.Node]) -> float:
+def _estimate_radius(world: World, population: Population, other: Population, radii: list[ir.Node]) -> float:
     """Return the greatest radius (mm) of a search, sampled from some agents with the reference. A radius that itself searches
     agents would take too long; a radius that contains about `_CELL` of the others replaces it."""
-    cheap = [radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in needed([radius]))]
-    lengths = [0.0] if len(cheap) == len(radii) else [_spacing(other)]
+    cheap = [radius for radius in radii if not any(each.op in ("set.agents", "set.every") for each in required_nodes([radius]))]
+    lengths = [0.0] if len(cheap) == len(radii) else [_default_cell_size(other)]
     for row in np.linspace(0, len(population) - 1, min(_SAMPLED, len(population))).astype(int) if cheap else ():
-        agent = Agent(world, population, int(row), population.now, int(row), Effects(), {})
+        agent = AgentRun(world, population, int(row), population.now, int(row), Effects(), {})
         lengths += [float(agent.value(radius)) for radius in cheap]
     return max((each for each in lengths if np.isfinite(each)), default=0.0)
 
 
-def _spacing(population: Population) -> float:
+def _default_cell_size(population: Population) -> float:
     """The edge (mm) of a cell that holds about `_CELL` agents, whether they lie on a line, a sheet or in a space."""
     columns = (population.start[f"position.{axis}"] for axis in AXES)
     extents = sorted((float(np.ptp(finite)) for place in columns if len(finite := place[np.isfinite(place)])), reverse=True)

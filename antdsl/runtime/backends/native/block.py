@@ -9,30 +9,30 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.entries import outer
+from antdsl.machine_code.entries import outer_text
 from antdsl.machine_code.kernels.ir import Block
 from antdsl.machine_code.kinds import BOOL, F32, I8, I64, PTR, WIDTH
 from antdsl.machine_code.lanes import LaneBuilder, Lanes, elementwise
 from antdsl.machine_code.module import Module
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
+from antdsl.runtime.backends.compile import BlockCompiler, Instruction, InstructionKind, Scope
 from antdsl.runtime.backends.native.layout import KINDS, Key, Layout
-from antdsl.runtime.backends.native.marks import Lines, mark
-from antdsl.runtime.backends.native.scents import reached, strength
+from antdsl.runtime.backends.native.marks import LineCounters, add_marks
+from antdsl.runtime.backends.native.scents import may_reach, strength
 from antdsl.runtime.backends.native.schedule import Schedule, operands_of
 
 _LONG = frozenset(("sin", "cos", "exp", "log", "pow", "atan2"))  # functions of the module rather than inlined
 _GUARDED = -1_000_000  # slots from here downward stand for who needs a call
 
 
-class Writer:
+class FunctionWriter:
     """The context for writing one function: a builder, and the places of arrays and numbers."""
 
     def __init__(self, module: Module, layout: Layout) -> None:
         self.module, self.layout = module, layout
         e = self.e = LaneBuilder(module)
-        self.table, self.begin, self.end = e.named(PTR, "%t"), e.named(I64, "%begin"), e.named(I64, "%end")
+        self.table, self.begin, self.end = e.named_number(PTR, "%t"), e.named_number(I64, "%begin"), e.named_number(I64, "%end")
         self._bases: dict[Key, Lanes] = {}
 
     def base(self, *key: Any) -> Lanes:
@@ -71,11 +71,11 @@ class Writer:
 
     def add(self, name: str) -> None:
         """Add the function to the module, to be called from outside."""
-        self.e.end(name, (self.table, self.begin, self.end), attribute="noinline", outer=outer(self.module, name))
+        self.e.end(name, (self.table, self.begin, self.end), attribute="noinline", outer=outer_text(self.module, name))
 
 
 @dataclass(slots=True, eq=False)
-class Near:
+class NeighbourSearch:
     """Reductions over neighbours of one species that one search finds. `sets` are theirs; `beside` names others' registers, up to
     four in a text, that are needed in the order of the cell grid."""
 
@@ -92,9 +92,9 @@ class BlockCode:
     names: list[str]
     layout: Layout
     schedule: Schedule
-    lines: Lines | None = None  # of code that is timed by line
+    lines: LineCounters | None = None  # of code that is timed by line
     faults: list[tuple[str, Instruction]] = field(default_factory=list)  # of refused values: what is refused, and by what
-    near: list[Near] = field(default_factory=list)
+    near: list[NeighbourSearch] = field(default_factory=list)
     lazy_nodes: list[ir.Node] = field(default_factory=list)
     bounds: dict[int, ir.Node] = field(default_factory=dict)  # `scents.bounds`
     lists: list[Instruction] = field(default_factory=list)  # statements with lists of requesting rows, from slot -1 downward
@@ -110,7 +110,7 @@ class BlockCode:
 Lower = Callable[["BlockWriter", ir.Node, tuple[Any, ...]], Any]
 
 
-class BlockWriter(Writer):
+class BlockWriter(FunctionWriter):
     """Writes the function of one stage."""
 
     def __init__(
@@ -142,13 +142,13 @@ class BlockWriter(Writer):
 
     def _index(self, scope: Scope) -> None:
         for each in scope.code:
-            if each.does is Does.REDUCE and each in self.schedule.native:
+            if each.does is InstructionKind.REDUCE and each in self.schedule.native:
                 self._reductions.append(each)
             if isinstance(each.what, ir.Node) and each.out >= 0:
                 self._makers[each.out] = each
                 kinds = ir.TUPLES.get(each.what.op, (each.what.kind,))
                 self._kinds[each.out] = tuple(KINDS.get(kind, "") for kind in kinds)
-                if each.does is Does.KEEP and each not in self.schedule.inlined:
+                if each.does is InstructionKind.KEEP and each not in self.schedule.inlined:
                     self._kept[each.out] = each.what
             if each.inner is not None:
                 self._kinds[each.inner.rows] = (BOOL,)
@@ -177,39 +177,39 @@ class BlockWriter(Writer):
             top.body[place:place] = e.block_now.body
             e.block_now = last
         if self.code.lines is not None:
-            mark(self)
+            add_marks(self)
         self.add(name)
 
     # --- instructions --------------------------------------------------------------------------------------------------
 
-    def _line(self, each: Instruction) -> AbstractContextManager[None]:
+    def _timed_instruction(self, each: Instruction) -> AbstractContextManager[None]:
         """Attribute the code written inside the context to an instruction, if lines are timed."""
-        return nullcontext() if self.code.lines is None else self._timed(self.code.lines.counter(each))
+        return nullcontext() if self.code.lines is None else self._time_with_counter(self.code.lines.counter(each))
 
     @contextmanager
-    def _timed(self, counter: int) -> Iterator[None]:
+    def _time_with_counter(self, counter: int) -> Iterator[None]:
         previous_line, self.e.line = self.e.line, counter
         yield
         self.e.line = previous_line
 
     def _scope(self, scope: Scope) -> None:
         for each in scope.code:
-            with self._line(each):
+            with self._timed_instruction(each):
                 match each.does:
-                    case Does.REGION:
+                    case InstructionKind.REGION:
                         self._region(each)
-                    case Does.KEEP:
-                        self._keep(each)
-                    case Does.STATEMENT:
+                    case InstructionKind.KEEP:
+                        self._write_lazy(each)
+                    case InstructionKind.STATEMENT:
                         if self.schedule.at[each] == self.stage:
                             self._statement(each)
-                    case Does.VALUE if each in self.schedule.calls[self.stage]:
+                    case InstructionKind.VALUE if each in self.schedule.calls[self.stage]:
                         self._guard(each)
-                    case Does.VALUE | Does.REDUCE if each in self.schedule.native:
+                    case InstructionKind.VALUE | InstructionKind.REDUCE if each in self.schedule.native:
                         if self.schedule.home.get(each.out) == self.stage:
                             self.slot(each.out)
 
-    def _needed(self, each: Instruction, mask: Lanes) -> None:
+    def _note_need(self, each: Instruction, mask: Lanes) -> None:
         """Note whether an agent needs a call."""
         e = self.e
         place = e.address(self.base("needs"), len(self.code.needs), I8)
@@ -221,11 +221,11 @@ class BlockWriter(Writer):
         assert isinstance(each.what, ir.Node)
         guard = self.guards.get(each.what.op)
         if guard is None:
-            self._needed(each, self.mask[-1])
+            self._note_need(each, self.mask[-1])
             return
         asks, others = guard
         needed = self.mask[-1] & asks(self, each.what, tuple(self.slot(k) for k in each.inputs))
-        self._needed(each, needed)
+        self._note_need(each, needed)
         slot = self.code.guarded.setdefault(each, _GUARDED - len(self.code.guarded))
         self._nobody.append(slot)
         self.e.write(self.array(slot, 0, BOOL), self.offset, needed)
@@ -252,10 +252,10 @@ class BlockWriter(Writer):
         mask = self.e.known[-1][inner.rows] = make()
         if inner.rows in self.schedule.left:
             self._nobody.append(inner.rows)
-            self._leave(inner.rows, mask)
+            self._store_slot(inner.rows, mask)
         return mask
 
-    def _keep(self, each: Instruction) -> None:
+    def _write_lazy(self, each: Instruction) -> None:
         inner, node = each.inner, each.what
         assert inner is not None and isinstance(node, ir.Node)
         if each in self.schedule.inlined:
@@ -270,7 +270,7 @@ class BlockWriter(Writer):
 
         def missing() -> Lanes:
             asks = self.mask[-1] & ~e.read(has, self.row, BOOL)
-            return asks & reached(self, node, self.code.bounds[each.out]) if each.out in self.code.bounds else asks
+            return asks & may_reach(self, node, self.code.bounds[each.out]) if each.out in self.code.bounds else asks
 
         mask = self._mask(inner, missing)
         with e.inside(e.any_lane(mask)):
@@ -301,7 +301,7 @@ class BlockWriter(Writer):
             parts = tuple(self.e.read(self.base("kept", number, k), self.row, kind) for k, kind in enumerate(kinds))
             if slot in self.code.bounds:
                 parts = (strength(self, self._kept[slot], self.code.bounds[slot], parts[0]), *parts[1:])
-            self._leave(slot, parts)
+            self._store_slot(slot, parts)
             return parts if len(parts) > 1 else parts[0]
         each = self._makers.get(slot)
         node = None if each is None else each.what
@@ -309,8 +309,8 @@ class BlockWriter(Writer):
         if each is None or each not in self.schedule.native or (self.schedule.home[slot] != self.stage and not is_recomputed):
             parts = tuple(self.e.read(self.array(slot, k, kind), self.offset, kind) for k, kind in enumerate(self._kinds[slot]))
             return parts if len(parts) > 1 else parts[0]
-        with self._line(each):
-            if each.does is Does.REDUCE:
+        with self._timed_instruction(each):
+            if each.does is InstructionKind.REDUCE:
                 self._reduce(self, each)
                 return self.e.known[-1][slot]
             assert isinstance(node, ir.Node)
@@ -319,20 +319,20 @@ class BlockWriter(Writer):
             else:
                 args = tuple(self.slot(k) for k in each.inputs)
                 value = self.apply(node.op, *args) if node.op in ELEMENTWISE else self.senses[node.op](self, node, args)
-            self._leave(slot, value)
+            self._store_slot(slot, value)
         return value
 
     def known(self, slot: int, value: Any) -> None:
         """A value that was made together with another one."""
         self.e.known[-1][slot] = value
-        self._leave(slot, value)
+        self._store_slot(slot, value)
 
-    def _leave(self, slot: int, value: Any) -> None:
+    def _store_slot(self, slot: int, value: Any) -> None:
         if slot in self.schedule.left:
             for part, each in enumerate(value if isinstance(value, tuple) else (value,)):
                 self.e.write(self.array(slot, part, each.kind), self.offset, each)
 
-    def waiting(self, first: Instruction) -> list[Instruction]:
+    def joint_reductions(self, first: Instruction) -> list[Instruction]:
         """Return other reductions over the same species or items that one search can compute with `first`: they do not depend on
         its result. Those over agents may be in other scopes."""
         assert isinstance(first.what, ir.Node)
@@ -345,11 +345,11 @@ class BlockWriter(Writer):
                 continue
             if each.scope is not first.scope and of.op != "set.agents":
                 continue
-            if all(self._ready(slot) for slot in operands_of(each)):
+            if all(self._is_ready(slot) for slot in operands_of(each)):
                 reductions.append(each)
         return reductions
 
-    def _ready(self, slot: int) -> bool:
+    def _is_ready(self, slot: int) -> bool:
         """Whether a value is known or can be made at once: by operations alone, with no reduction or changing register in it."""
         slot = self.schedule.slot(slot)
         if slot in self._uniform or any(slot in names for names in self.e.known):
@@ -357,9 +357,9 @@ class BlockWriter(Writer):
         each = self._makers.get(slot)
         if each is None or self.schedule.home.get(slot) != self.stage:
             return slot not in self._kept
-        if each.does is not Does.VALUE or not isinstance(each.what, ir.Node) or each.what.op == "load":
+        if each.does is not InstructionKind.VALUE or not isinstance(each.what, ir.Node) or each.what.op == "load":
             return False
-        return all(self._ready(k) for k in each.inputs)
+        return all(self._is_ready(k) for k in each.inputs)
 
     # --- statements ----------------------------------------------------------------------------------------------------
 

@@ -8,15 +8,15 @@ from antdsl.machine_code.kernels.ir import ORDERS
 from antdsl.machine_code.kernels.values import Number, text_type
 from antdsl.machine_code.kinds import BOOL, F32, F64, I8, I32, I64, PTR, WIDTH
 from antdsl.machine_code.lanes import LaneBuilder, Lanes
-from antdsl.runtime.backends.native.block import Writer
+from antdsl.runtime.backends.native.block import FunctionWriter
 
 SLACK, BEYOND = 1.0 + 1e-6, 1.0 + 1e-5  # as in `senses.neighbours`
 
 
-class Cells:
+class SearchCells:
     """The cell grid of a search, as lanes of loop-invariant values."""
 
-    def __init__(self, w: Writer, number: int) -> None:
+    def __init__(self, w: FunctionWriter, number: int) -> None:
         e = w.e
         floats, integers = w.base("grid", number, "floats"), w.base("grid", number, "whole")
 
@@ -37,11 +37,11 @@ class Cells:
         """First and last cell along an axis that [q - half, q + half] meets, i32; the last is below the first where none."""
         e = self.w.e
         most = self.most[axis]
-        first = e.between((q - half - self.low[axis]) * self.inverse[axis], e.constant(0.0, F64), most)
-        last = e.between((q + half - self.low[axis]) * self.inverse[axis], e.constant(-1.0, F64), most - 1.0)
+        first = e.clamp((q - half - self.low[axis]) * self.inverse[axis], e.constant(0.0, F64), most)
+        last = e.clamp((q + half - self.low[axis]) * self.inverse[axis], e.constant(-1.0, F64), most - 1.0)
         return e.to_int32(np.floor(first)), e.to_int32(np.floor(last))
 
-    def between(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, within: Lanes) -> tuple[Lanes, Lanes]:
+    def row_range(self, z: Lanes, y: Lanes, first: Lanes, last: Lanes, within: Lanes) -> tuple[Lanes, Lanes]:
         """Return where a row of cells starts in the grid's order, from one cell to another, and its number of agents, i32. Both
         are 0 if a condition does not hold."""
         w, e = self.w, self.w.e
@@ -69,7 +69,7 @@ class Cells:
         if name in self.w.module.functions:
             return name
         f = LaneBuilder(self.w.module)
-        sorted_keys, count, key = f.named(PTR, "%keys"), f.named(I64, "%count"), f.named(I64, "%key", WIDTH)
+        sorted_keys, count, key = f.named_number(PTR, "%keys"), f.named_number(I64, "%count"), f.named_number(I64, "%key", WIDTH)
         low, high = f.slot(I64, WIDTH), f.slot(I64, WIDTH)
         f.put(low, f.constant(0, I64))
         f.put(high, f.widened(count))
@@ -84,15 +84,15 @@ class Cells:
         return name
 
 
-class Rows:
+class CellRows:
     """Rows of cells in reach of eight places, within the widest of some radii of each."""
 
-    def __init__(self, w: Writer, number: int, place: list[Lanes], radii: list[Lanes], asks: Lanes) -> None:
+    def __init__(self, w: FunctionWriter, number: int, place: list[Lanes], radii: list[Lanes], asks: Lanes) -> None:
         e = self.e = w.e
-        self.cells = cells = Cells(w, number)
+        self.cells = cells = SearchCells(w, number)
         widest = radii[0]
         for each in radii[1:]:
-            widest = e.meaning(np.fmax, widest, each)
+            widest = e.apply_function(np.fmax, widest, each)
         usable = asks & (widest >= np.float32(0))
         for each in place:
             usable = usable & np.isfinite(each)
@@ -112,25 +112,25 @@ class Rows:
         sheet = cells.flat & (np.abs(along[2] - cells.low[2]) <= cells.width[2])
         self.c0, self.c1 = (e.where(sheet, e.constant(0, I32), c) for c in (c0, c1))
 
-    def note(self) -> None:
+    def note_radius(self) -> None:
         """Store the greatest requested radius: the next step's cells suit it."""
         w = self.cells.w
         e, place = self.e, w.base("grid", self.cells.number, "widest")
         widest = e.where(self.usable & np.isfinite(self.widest), self.widest, e.constant(0.0, F32))
-        e.write(place, 0, e.meaning(np.fmax, e.read(place, 0, F32), widest))
+        e.write(place, 0, e.apply_function(np.fmax, e.read(place, 0, F32), widest))
 
-    def many(self) -> Lanes:
+    def row_count(self) -> Lanes:
         """Return how many rows `following` gives in total, i64, and restart it at the first."""
         e, nothing = self.e, self.e.constant(0, I32)
         self._deep, self._tall = e.slot(I32), e.slot(I32)
         for slot in (self._deep, self._tall):
             e.put(slot, e.constant(0, I32, 1))
         depth, self._most = (
-            e.greatest(e.where(self.usable, z - a, nothing) + 1) for a, z in ((self.c0, self.c1), (self.b0, self.b1))
+            e.lane_maximum(e.where(self.usable, z - a, nothing) + 1) for a, z in ((self.c0, self.c1), (self.b0, self.b1))
         )
         return e.convert(depth * self._most, I64)
 
-    def following(self) -> tuple[Lanes, Lanes]:
+    def next_row(self) -> tuple[Lanes, Lanes]:
         """The next row of cells: where its agents begin in the grid's order, and how many may be in reach, i32."""
         e = self.e
         depth, tall = e.load(self._deep, I32), e.load(self._tall, I32)
@@ -140,17 +140,17 @@ class Rows:
         e.put(self._tall, e.where(over, 0, next_one))
         e.put(self._deep, depth + e.convert(over, I32))
         within = self.usable & (cy <= self.b1) & (cz <= self.c1) & (self.a0 <= self.a1)
-        return self.cells.between(cz, cy, self.a0, self.a1, within)
+        return self.cells.row_range(cz, cy, self.a0, self.a1, within)
 
 
-def write_down(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, inside: Lanes) -> None:
+def append_numbers(e: LaneBuilder, buffer: Lanes, total: Number, numbers: Lanes, inside: Lanes) -> None:
     """Append those of eight numbers (i32) for which a condition holds. All are written, and unwanted ones are overwritten later,
     which avoids a branch that is hard to predict."""
     bits = e.mask_word(inside)
     count = e.load(total, I64)
     if e.module.target.avx2:
         place = e.address(buffer, count, I32)
-        order = e.read(e.named(PTR, ORDERS.name), bits << 3, I8)
+        order = e.read(e.named_number(PTR, ORDERS.name), bits << 3, I8)
         packed = e.op("permd", I32, numbers, e.op("zext", I32, order))
         e.do("store", packed, place, x=", align 4")
         e.put(total, count + e.op("ctpop", I64, bits))

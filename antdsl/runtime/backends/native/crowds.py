@@ -16,21 +16,26 @@ from antdsl.machine_code.kernels.values import Number
 from antdsl.machine_code.kinds import BOOL, F32, I8, I32, I64, PTR, WIDTH
 from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
-from antdsl.runtime.backends.native.block import BlockWriter, Writer
-from antdsl.runtime.backends.native.cells import BEYOND, Rows, write_down
-from antdsl.runtime.backends.native.near import STRIDE, NearPairs, Search, measured
-from antdsl.runtime.backends.native.sets import PairValues, take
-from antdsl.runtime.backends.native.sums import NO_LABEL, Sum
+from antdsl.runtime.backends.native.block import BlockWriter, FunctionWriter
+from antdsl.runtime.backends.native.cells import BEYOND, CellRows, append_numbers
+from antdsl.runtime.backends.native.near import STRIDE, NearPairs, Search, measure_pairs
+from antdsl.runtime.backends.native.sets import PairValues, accumulate
+from antdsl.runtime.backends.native.sums import NO_LABEL, RunningReduction
 from antdsl.runtime.world import AXES
 
 _NONE = (1 << 31) - 1  # the number of a distance that does not count: above those of all others
 
 
-def write_many(b: BlockWriter, near: Search) -> None:
+def write_dense_search(b: BlockWriter, near: Search) -> None:
     """Write the function that processes some of eight requesting agents, one by one."""
-    w = Writer(b.module, b.layout)
+    w = FunctionWriter(b.module, b.layout)
     e = w.e
-    rows, mask, own_area, out = e.named(I64, "%row"), e.named(I64, "%mask"), e.named(PTR, "%own"), e.named(PTR, "%out")
+    rows, mask, own_area, out = (
+        e.named_number(I64, "%row"),
+        e.named_number(I64, "%mask"),
+        e.named_number(PTR, "%own"),
+        e.named_number(PTR, "%out"),
+    )
     with e.loop(WIDTH) as lane, e.inside(e.has_bit(mask, lane)):
         row = rows + lane
 
@@ -43,13 +48,13 @@ def write_many(b: BlockWriter, near: Search) -> None:
         own = {node: e.widened(mine(k)) for node, k in near.operand_slots.items()}
         place = [e.widened(e.read_one(w.base("start", f"position.{axis}"), row, F32)) for axis in AXES]
         radius = {chosen: e.widened(mine(k)) for chosen, k in near.reach.items()}
-        crowd = _Crowd(w, near, place, e.widened(e.convert(row, I32)) if near.other == b.species else None)
+        crowd = _DenseNeighbours(w, near, place, e.widened(e.convert(row, I32)) if near.other == b.species else None)
         crowd.measure(list(radius.values()))
         for chosen, k in near.stops.items():
-            put(k, crowd.more_than_may_be(radius[chosen]))
-        crowd.cut()
+            put(k, crowd.is_over_limit(radius[chosen]))
+        crowd.keep_nearest()
         heading = [e.widened(e.read_one(w.base("start", f"heading.{axis}"), row, F32)) for axis in AXES] if near.view else []
-        sums = [Sum(e, node, many=False) for node in near.nodes]
+        sums = [RunningReduction(e, node, many=False) for node in near.nodes]
         for each in sums:
             each.start()
         with e.loop(e.load(crowd.total, I64), WIDTH) as at:
@@ -66,19 +71,19 @@ def write_many(b: BlockWriter, near: Search) -> None:
             pairs = PairValues(w, lambda node: own[node], others.leaf, b.senses)
             for each, node in zip(sums, near.nodes, strict=True):
                 reached = e.get_or_make(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
-                take(each, node, pairs, reached, others.ids)
+                accumulate(each, node, pairs, reached, others.ids)
         for k, each in enumerate(sums):
-            each.fold()
+            each.combine_lanes()
             put(k, e.one(e.as_stored(each.result()), 0))
     e.end(f"{near.name}.many", (w.table, rows, mask, own_area, out))
 
 
 @dataclass(slots=True, eq=False)
-class _Crowd:
+class _DenseNeighbours:
     """The others around one requesting agent. `buffer` has their positions in the grid's order; `keys` has their distances as
     integers, `_NONE` outside the widest radius. Both are padded to a multiple of eight. `total`: the address of their number."""
 
-    w: Writer
+    w: FunctionWriter
     near: Search
     place: list[Lanes]
     itself: Lanes | None
@@ -91,12 +96,12 @@ class _Crowd:
         w, e = self.w, self.w.e
         self.buffer, self.total = w.base("candidates"), e.slot(I64)
         e.put(self.total, e.constant(0, I64, 1))
-        search = Rows(w, self.near.number, self.place, radii, e.constant(True, BOOL))
+        search = CellRows(w, self.near.number, self.place, radii, e.constant(True, BOOL))
         limit = (search.widest * search.widest) * np.float32(BEYOND) + np.float32(1e-30)
         columns = [w.base("grid", self.near.number, axis) for axis in AXES]
 
-        with e.loop(search.many()):
-            row = search.following()
+        with e.loop(search.row_count()):
+            row = search.next_row()
             begin, count = (e.convert(e.one(each, 0), I64) for each in row)
             with e.loop(count, WIDTH) as k:
                 at = begin + k
@@ -104,9 +109,9 @@ class _Crowd:
                 dx, dy, dz = (e.read(column, at, F32) - own for column, own in zip(columns, self.place, strict=True))
                 square = (dx * dx + dy * dy) + dz * dz
                 numbers = e.convert(at, I32) + e.convert(e.iota(), I32)
-                write_down(e, self.buffer, self.total, numbers, is_present & (square <= limit))
+                append_numbers(e, self.buffer, self.total, numbers, is_present & (square <= limit))
         count = e.load(self.total, I64)
-        self._end(count)
+        self._close_list(count)
         self.keys = e.address(self.buffer, count + WIDTH, I32)
         with e.loop(count, WIDTH) as index:
             others = self.at(index)
@@ -115,7 +120,7 @@ class _Crowd:
                 within = within & (others.rows != self.itself)
             e.write(self.keys, index, e.where(within, e.bits(others.distance, I32), e.constant(_NONE, I32)))
 
-    def _end(self, count: Lanes) -> None:
+    def _close_list(self, count: Lanes) -> None:
         self.w.e.write(self.buffer, count, self.w.e.constant(0, I32))
 
     def at(self, index: Lanes) -> NearPairs:
@@ -123,9 +128,9 @@ class _Crowd:
         e = self.w.e
         is_present = index + e.iota() < e.load(self.total, I64)
         at = e.where(is_present, e.read(self.buffer, index, I32), e.constant(0, I32))
-        return measured(self.w, self.near, at, self.place, is_present)
+        return measure_pairs(self.w, self.near, at, self.place, is_present)
 
-    def _count(self, test: Callable[[Lanes, Lanes], Lanes]) -> Lanes:
+    def _count_passing(self, test: Callable[[Lanes, Lanes], Lanes]) -> Lanes:
         """Return how many of the others pass a test. Its input is an index and the eight keys from there on."""
         e = self.w.e
         counted = e.slot(I32, WIDTH)
@@ -135,7 +140,7 @@ class _Crowd:
             e.put(counted, e.load(counted, I32, WIDTH) + e.convert(good, I32))
         return e.op("reduce.add", I32, e.load(counted, I32, WIDTH), lanes=1)
 
-    def _least(self, place: Number, kind: str, most: int, enough: Callable[[Lanes], Lanes]) -> None:
+    def _find_least(self, place: Number, kind: str, most: int, enough: Callable[[Lanes], Lanes]) -> None:
         """Find the least integer from 0 to `most` for which `enough` holds. All bits of `most` are 1."""
         e = self.w.e
         low, high = e.slot(kind), e.slot(kind)
@@ -149,7 +154,7 @@ class _Crowd:
             e.put(high, e.where(good, middle, z))
         e.put(place, e.load(high, kind))
 
-    def more_than_may_be(self, radius: Lanes) -> Lanes:
+    def is_over_limit(self, radius: Lanes) -> Lanes:
         """Return whether more than `limits.WITHIN_RADIUS` others are in a radius."""
         e = self.w.e
         many = e.slot(I8)
@@ -157,11 +162,11 @@ class _Crowd:
         with e.inside(e.load(self.total, I64) > limits.WITHIN_RADIUS):
             inside = radius >= np.float32(0)
             bound = e.bits(radius, I32)
-            number = self._count(lambda index, keys: inside & (keys <= bound))
+            number = self._count_passing(lambda index, keys: inside & (keys <= bound))
             e.put(many, e.convert(number > limits.WITHIN_RADIUS, I8))
         return e.load(many, I8)
 
-    def cut(self) -> None:
+    def keep_nearest(self) -> None:
         """Reduce the list to the others that count: above the cap, the nearest by (distance, id)."""
         e, cap = self.w.e, limits.NEIGHBOURS
         far, last = e.slot(I32), e.slot(I64)
@@ -171,21 +176,21 @@ class _Crowd:
 
             def enough(reach: Lanes, least: int = cap) -> Lanes:
                 bound = e.widened(reach)
-                return self._count(lambda index, keys: keys <= bound) >= least
+                return self._count_passing(lambda index, keys: keys <= bound) >= least
 
             with e.inside(enough(e.load(far, I32), cap + 1)):
-                self._least(far, I32, _NONE, enough)
+                self._find_least(far, I32, _NONE, enough)
                 reach = e.widened(e.load(far, I32))
-                nearer = self._count(lambda index, keys: keys < reach)
-                equal = self._count(lambda index, keys: keys == reach)
+                nearer = self._count_passing(lambda index, keys: keys < reach)
+                equal = self._count_passing(lambda index, keys: keys == reach)
                 rest = cap - nearer
 
                 def by_id(middle: Lanes) -> Lanes:
                     bound = e.widened(middle)
-                    return self._count(lambda index, keys: (keys == reach) & (self.at(index).ids() <= bound)) >= rest
+                    return self._count_passing(lambda index, keys: (keys == reach) & (self.at(index).ids() <= bound)) >= rest
 
                 with e.inside(equal > rest):
-                    self._least(last, I64, NO_LABEL, by_id)
+                    self._find_least(last, I64, NO_LABEL, by_id)
         reach, label = e.widened(e.load(far, I32)), e.load(last, I64)
         ties = label != NO_LABEL
         out, good = e.slot(I64), e.slot(I8)
@@ -196,6 +201,6 @@ class _Crowd:
             with e.inside(ties):
                 first = (keys < reach) | ((keys == reach) & (self.at(index).ids() <= label))
                 e.put(good, e.mask_bits(first))
-            write_down(e, self.buffer, out, e.read(self.buffer, index, I32), e.of_bits(e.load(good, I8)))
+            append_numbers(e, self.buffer, out, e.read(self.buffer, index, I32), e.from_bits(e.load(good, I8)))
         e.put(self.total, e.load(out, I64))
-        self._end(e.load(out, I64))
+        self._close_list(e.load(out, I64))

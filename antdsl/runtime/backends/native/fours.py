@@ -8,12 +8,12 @@ from antdsl.machine_code.lanes import LaneBuilder, Lanes
 _FOUR = f"<4 x {F32}>"
 
 
-def quadruples(e: LaneBuilder, base: Lanes, index: Lanes) -> list[Lanes]:
+def load_quadruples(e: LaneBuilder, base: Lanes, index: Lanes) -> list[Lanes]:
     """Return four values per lane, from an array of four floats per index; `index` is i32."""
-    fours = (four_at(e, base, e.one(index, lane)) for lane in range(WIDTH))
+    fours = (quadruple_address(e, base, e.one(index, lane)) for lane in range(WIDTH))
     return e.columns([e.op("load", F32, each, x=", align 4", lanes=4) for each in fours])
 
 
-def four_at(e: LaneBuilder, base: Lanes, index: Lanes) -> Lanes:
+def quadruple_address(e: LaneBuilder, base: Lanes, index: Lanes) -> Lanes:
     """Where the four of a single index lie."""
     return e.address(base, e.convert(index, I64), _FOUR)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
 from antdsl.runtime.world import AXES, Population, World
-from antdsl.senses.cell_order import CellOrder, Positions, Shape, box_around, in_order
+from antdsl.senses.cell_order import CellOrder, Positions, Shape, box_around, store_registers
 
 _AGAIN = 64  # steps after which a crowd gets new cells and the sheet test is repeated
 _SPARE = 1 / 32  # of its extent, that a box goes on for beyond a crowd
@@ -29,7 +29,7 @@ Registers = Sequence[tuple[str, list[NDArray[np.float32]]]]  # up to four each, 
 Corners = tuple[list[float], list[float]]
 
 
-class _Box:
+class _CrowdBox:
     """A box slightly larger than the crowd's. Its cells are used while the crowd stays inside and fills it, and only for a
     limited time, because the crowd may spread in height."""
 
@@ -39,7 +39,7 @@ class _Box:
         self.high = [high + _SPARE * each for high, each in zip(corners[1], extent, strict=True)]
         self._least, self._until = [_FILLED * each for each in extent], until
 
-    def suits(self, corners: Corners, step: int) -> bool:
+    def is_suitable(self, corners: Corners, step: int) -> bool:
         """Return whether its cells suit a step, given the corners of the crowd."""
         (ax, ay, az), (bx, by, bz) = corners
         (lx, ly, lz), (hx, hy, hz), (x, y, z) = self.low, self.high, self._least
@@ -47,16 +47,16 @@ class _Box:
         return inside and bx - ax >= x and by - ay >= y and bz - az >= z and step < self._until
 
 
-class _Crowd(CellOrder):
+class _CrowdGrid(CellOrder):
     """A crowd in cells of one size, with registers in that order."""
 
     def __init__(self, count: int, threads: int) -> None:
         super().__init__(count, threads)
         self.used = 0  # the last step in which a search read it
-        self.box: _Box | None = None  # that the cells are of
+        self.box: _CrowdBox | None = None  # that the cells are of
         self._laid: dict[str, int] = {}  # the step that registers are of
 
-    def lay(self, registers: Registers, step: int) -> None:
+    def sort_registers(self, registers: Registers, step: int) -> None:
         """Put registers in order, unless that was done in this step."""
         for names, columns in registers:
             if self._laid.get(names) == step:
@@ -65,22 +65,22 @@ class _Crowd(CellOrder):
                 self.tables = {**self.tables, names: np.zeros((self.count + WIDTH, 4), np.float32)}
             self._laid[names], laid = step, self.tables[names]
             assert laid is not None
-            four = parallel.plain(*columns, *(columns[:1] * (4 - len(columns))))
-            work = partial(in_order, self.at, four, laid.reshape(-1))
+            four = parallel.contiguous(*columns, *(columns[:1] * (4 - len(columns))))
+            work = partial(store_registers, self.at, four, laid.reshape(-1))
             parallel.in_parts(work, self.count, self.threads, parallel.LIGHT)
 
 
-class Grids:
+class SearchGrids:
     """Sorts crowds into cells."""
 
     def __init__(self) -> None:
-        self._found: dict[tuple[str, float], _Crowd] = {}  # of this step
+        self._found: dict[tuple[str, float], _CrowdGrid] = {}  # of this step
         self._corners: dict[str, Corners] = {}  # of this step
-        self._stored: dict[tuple[str, float], _Crowd] = {}
+        self._stored: dict[tuple[str, float], _CrowdGrid] = {}
         self._step = 0
         self._sheets: dict[str, tuple[int, int, bool]] = {}  # agents, until which step it is known, whether
 
-    def forget(self) -> None:
+    def begin_step(self) -> None:
         """Agents have moved: another step begins."""
         self._found.clear()
         self._corners.clear()
@@ -96,35 +96,35 @@ class Grids:
             if grid is not None:
                 break
         if grid is None:
-            grid = self._found[other.name, size] = self._sorted(world, other, size)
-        grid.lay(beside, self._step)
+            grid = self._found[other.name, size] = self._crowd_grid(world, other, size)
+        grid.sort_registers(beside, self._step)
         return grid.tables
 
-    def _sorted(self, world: World, other: Population, size: float) -> _Crowd:
+    def _crowd_grid(self, world: World, other: Population, size: float) -> _CrowdGrid:
         count, threads = len(other), world.options.threads
         crowd = self._stored.get((other.name, size))
         if crowd is None or crowd.count != count or crowd.threads != threads:
-            crowd = self._stored[other.name, size] = _Crowd(count, threads)
+            crowd = self._stored[other.name, size] = _CrowdGrid(count, threads)
         crowd.used = self._step
-        x, y, z = parallel.plain(*(other.start[f"position.{axis}"] for axis in AXES))
+        x, y, z = parallel.contiguous(*(other.start[f"position.{axis}"] for axis in AXES))
         corners = self._corners.get(other.name)
         if corners is None:
             corners = self._corners[other.name] = box_around((x, y, z))
         shape = crowd.shape
-        if shape is None or crowd.box is None or not crowd.box.suits(corners, self._step):
-            crowd.box = _Box(corners, self._step + _AGAIN)
+        if shape is None or crowd.box is None or not crowd.box.is_suitable(corners, self._step):
+            crowd.box = _CrowdBox(corners, self._step + _AGAIN)
             shape = self._shape(other, (x, y, z), crowd.box, size)
         crowd.sort(shape, (x, y, z))
         return crowd
 
-    def _shape(self, other: Population, positions: Positions, box: _Box, size: float) -> Shape:
+    def _shape(self, other: Population, positions: Positions, box: _CrowdBox, size: float) -> Shape:
         """Cells of a crowd in a box, one for all of very few agents."""
         if size == inf:
             return Shape((0, 1, 2), box.low, [0.0] * 3, [_UNBOUNDED_WIDTH] * 3, [1] * 3)
         shape = Shape.of(box.low, box.high, 2.0 ** (size / 4))
         if self._is_sheet(other, positions, shape):
             shape = shape.as_sheet()
-        return _coarser(shape, _CELLS * len(other))
+        return _coarsen(shape, _CELLS * len(other))
 
     def _is_sheet(self, other: Population, positions: Positions, shape: Shape) -> bool:
         """Return whether a crowd lies in one sheet. Only speed depends on the result, so it is not computed in every step."""
@@ -135,10 +135,10 @@ class Grids:
         return known and shape.extent[2] > 0
 
 
-def _coarser(shape: Shape, most: int) -> Shape:
+def _coarsen(shape: Shape, most: int) -> Shape:
     """Return a shape with wider cells if a sparse crowd needs more than `most` cells, most of them empty. Cells grow up to four
     times along the fast axis, then up to twice along each axis."""
-    if shape.cells <= most:
+    if shape.cell_count <= most:
         return shape
     width, size = list(shape.width), list(shape.size)
     for axis in (0, 0, 1, 2, 0):

@@ -22,7 +22,7 @@ Arrays = dict[tuple[int, int], NDArray[Any]]  # by slot and part
 _OWN = ("array", "laid", "notes", "counts", "needs", "ticks", "candidates")  # kinds of keys
 
 
-class Lane:
+class LaneMemory:
     """`counts`: first, above 0 if an agent has too many neighbours; then the length of each list. `needs`: above 0 for a call
     that some agent needs. `columns` of each list: rows, and the values stored with them. `ticks`: counters by line, for timed
     code. `laid`: by field, whether anything was deposited. `widest`: the greatest radius of each search."""
@@ -42,19 +42,19 @@ class Lane:
         self._own = np.array([place for _, place in self._keys], np.intp)
         self._places = np.zeros(len(self._keys), np.int64)
 
-    def point(self, pointers: NDArray[np.int64]) -> None:
+    def copy_pointers(self, pointers: NDArray[np.int64]) -> None:
         """Put down the addresses that all lanes have."""
         self.pointers[:] = pointers
         self.pointers[self._own] = self._places
 
-    def begin(self) -> None:
+    def reset_counts(self) -> None:
         """Count from nothing again."""
         self.notes[0] = 0
         self.counts.fill(0)
         if self.code.needs:
             self.needs.fill(0)
 
-    def settle(self, arrays: Arrays, rows: int, others: int) -> None:
+    def allocate(self, arrays: Arrays, rows: int, others: int) -> None:
         """Set these arrays for `rows` rows, with eight spare rows after them, and buffers for `others` agents of the largest
         species."""
         self.arrays = arrays
@@ -68,9 +68,9 @@ class Lane:
         if len(self._candidates) < candidates:
             self._candidates = np.zeros(candidates, np.int32)  # of one agent with distances beside
         for number, (key, _) in enumerate(self._keys):
-            self._places[number] = address(self._array(key))
+            self._places[number] = address(self._array_for(key))
 
-    def _array(self, key: Key) -> NDArray[Any]:
+    def _array_for(self, key: Key) -> NDArray[Any]:
         match key[0]:
             case "array":
                 return self.arrays[int(str(key[1])), int(str(key[2]))]
@@ -89,31 +89,31 @@ class Lane:
         return self._candidates
 
 
-class Lanes:
+class LaneMemories:
     """One lane for each part of a block that runs at the same time. Stage results of all parts are contiguous, part after part:
     the lanes' arrays are slices of `arrays`."""
 
     def __init__(self, code: BlockCode) -> None:
         self.code = code
         self.arrays: Arrays = {}
-        self.every: list[Lane] = []  # those of parts there are no longer, too
+        self.every: list[LaneMemory] = []  # those of parts there are no longer, too
         self._rows = self._others = self._parts = 0
         self._asks: dict[Instruction, tuple[Ask, list[tuple[ir.Node, Any]]]] = {}  # and what of it goes by values of the step
 
-    def ready(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[Lane]:
+    def prepare(self, parts: int, rows: int, others: int, pointers: NDArray[np.int64]) -> list[LaneMemory]:
         """Return lanes for `parts` parts of `rows` rows each (multiples of eight if there are several parts). They have buffers
         for `others` agents of the largest species, and the shared addresses."""
         while len(self.every) < parts:
-            self.every.append(Lane(self.code, pointers))
+            self.every.append(LaneMemory(self.code, pointers))
         if rows != self._rows or parts > self._parts or others > self._others:
             self._rows, self._parts, self._others = rows, max(parts, self._parts), max(others, self._others)
-            self._settle()
+            self._allocate()
         lanes = self.every[:parts]
         for lane in lanes:
-            lane.point(pointers)
+            lane.copy_pointers(pointers)
         return lanes
 
-    def _settle(self) -> None:
+    def _allocate(self) -> None:
         rows, length = self._rows, self._parts * self._rows + WIDTH
         self._asks.clear()
         for key, kind in self.code.layout.arrays.items():
@@ -121,7 +121,7 @@ class Lanes:
                 self.arrays[key] = np.zeros(length, DTYPES[kind])
         for k, lane in enumerate(self.every[: self._parts]):
             own = {key: array[k * rows : (k + 1) * rows + WIDTH] for key, array in self.arrays.items()}
-            lane.settle(own, rows, self._others)
+            lane.allocate(own, rows, self._others)
 
     def ask(self, each: Instruction, rows: int, uniform: Mapping[int, ir.Node], values: Mapping[ir.Node, Any]) -> Ask:
         """Return which of `rows` rows of all parts need a call, its arguments, and where the next stage reads its results.

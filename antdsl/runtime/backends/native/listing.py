@@ -7,26 +7,26 @@ from pathlib import Path
 
 from antdsl.machine_code.machine import Target
 from antdsl.plan import ir
-from antdsl.runtime.backends.native.programs import Facts, Program, program
+from antdsl.runtime.backends.native.programs import Program, WorldFacts, program
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 
 _HEADER_PREFIXES = ("define ", "declare ", "}", "@")
 
 
-STILL = Facts(moving=False, detail=False)
+STILL = WorldFacts(moving=False, detail=False)
 
 
-def of_plan(plan: ir.Plan, target: Target, facts: Facts = STILL) -> Program:
+def plan_program(plan: ir.Plan, target: Target, facts: WorldFacts = STILL) -> Program:
     """Return a plan's program as it is compiled for a world."""
     return program(plan, NumpyBackend(plan).blocks, facts, target)
 
 
-def counts(native_program: Program) -> dict[str, int]:
+def instruction_counts(native_program: Program) -> dict[str, int]:
     """Return the number of instructions of each function, as emitted."""
-    return {name: instructions(text) for name, text in native_program.functions.items() if text.startswith("define")}
+    return {name: count_instructions(text) for name, text in native_program.functions.items() if text.startswith("define")}
 
 
-def instructions(text: str) -> int:
+def count_instructions(text: str) -> int:
     """Return the number of instructions of a function: its lines without labels, head and end."""
     lines = (line.strip() for line in text.splitlines())
     return sum(1 for line in lines if line and not line.startswith(_HEADER_PREFIXES) and not line.endswith(":"))
@@ -34,7 +34,7 @@ def instructions(text: str) -> int:
 
 def show(native_program: Program) -> str:
     """Readable text, the same for the same plan."""
-    size, lines, named = counts(native_program), [], set()
+    size, lines, named = instruction_counts(native_program), [], set()
     species = ""
     for (name, block), code in native_program.blocks.items():
         if name != species:
@@ -48,11 +48,11 @@ def show(native_program: Program) -> str:
             for each in code.schedule.calls[stage]:
                 if isinstance(each.what, ir.Node):
                     of = f"({each.what.attrs[0]})" if each.what.attrs else ""
-                    called[f"{each.what.op}{of}{_place(each.what)}"] += 1
+                    called[f"{each.what.op}{of}{_source_place(each.what)}"] += 1
             lines += [f"    then NumPy: {what}{f', {count} times' if count > 1 else ''}" for what, count in called.items()]
         for search in code.near:
             lines.append(f"    searches {search.species} for {len(search.sets)} set{'s' if len(search.sets) > 1 else ''}")
-        lines += [f"    asks for {_request_name(each.what)}{_place(each.what)}" for each in code.lists]
+        lines += [f"    asks for {_request_name(each.what)}{_source_place(each.what)}" for each in code.lists]
     shared = sorted(set(size) - named)
     lines += ["functions of all", *(f"  {name}: {size[name]:,} instructions" for name in shared)]
     return "\n".join(lines) + "\n"
@@ -62,6 +62,6 @@ def _request_name(what: ir.Node | ir.Statement) -> str:
     return what.op if isinstance(what, ir.Request) else type(what).__name__.lower()
 
 
-def _place(what: ir.Node | ir.Statement) -> str:
+def _source_place(what: ir.Node | ir.Statement) -> str:
     span = what.span
     return "" if span is None else f", {Path(span.source.path).name}:{span.source.line_column(span.start)[0]}"

@@ -20,13 +20,13 @@ from antdsl.runtime.backends.compile import BlockCompiler, Instruction
 from antdsl.runtime.backends.metering import instructions_of
 
 if TYPE_CHECKING:
-    from antdsl.runtime.backends.native.block import Writer
+    from antdsl.runtime.backends.native.block import FunctionWriter
 
 
-class Lines:
+class LineCounters:
     """Counters of a block: one for each source line within each layer; the first is for instructions without a line. `numbers`:
-    the positions of instructions among those of `Metered`. `told`: for each counter, the number of the instruction on its line,
-    -1 for none."""
+    the positions of instructions among those of `MeteredBlock`. `told`: for each counter, the number of the instruction on its
+    line, -1 for none."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.numbers = {each: k for k, each in enumerate(instructions_of(compiler.root))}
@@ -44,10 +44,10 @@ class Lines:
         return self._counters[key]
 
 
-class _Marks:
+class _MarkWriter:
     """Rewrites a function with marks between instructions of different counters."""
 
-    def __init__(self, w: Writer) -> None:
+    def __init__(self, w: FunctionWriter) -> None:
         self.e, self._ticks, self._last = w.e, w.base("ticks"), w.e.slot(I64)
         self._fenced = w.module.target.x86
         self._kept: dict[str, Number] = {}  # stack slots that hold values, by type
@@ -57,7 +57,7 @@ class _Marks:
         e, blocks = self.e, self.e.blocks
         e.blocks, e.block_now = blocks[:1], Block(blocks[0].label, [])
         e.blocks[0] = e.block_now
-        e.put(self._last, self._now())
+        e.put(self._last, self._read_counter())
         current = 0
         for k, block in enumerate(blocks):
             if k:
@@ -65,29 +65,29 @@ class _Marks:
             self._since = len(e.block_now.body)
             for each in block.body:
                 if each.line != current:
-                    self._count(current)
+                    self._add_ticks(current)
                     current = each.line
                 e.block_now.body.append(each)
-        self._count(current)
+        self._add_ticks(current)
 
-    def _count(self, number: int) -> None:
+    def _add_ticks(self, number: int) -> None:
         """Add the time since the last mark to a counter."""
         e = self.e
-        self._keep()
-        last, now = e.load(self._last, I64), self._now()
+        self._store_pending()
+        last, now = e.load(self._last, I64), self._read_counter()
         passed, place = now - last, e.address(self._ticks, number, I64)
         e.put(place, e.load(place, I64) + passed)
         e.put(self._last, now)
-        self._border(now)
+        self._add_barrier(now)
 
-    def _now(self) -> Lanes:
+    def _read_counter(self) -> Lanes:
         """Return the counter after all earlier instructions have completed. Otherwise a line's divisions and roots would count
         for a later line."""
         if self._fenced:
             self.e.do("wait")
         return self.e.op("ticks", I64, lanes=1)
 
-    def _keep(self) -> None:
+    def _store_pending(self) -> None:
         """Store the values that are not read yet, with stores that LLVM does not move past the counter. Otherwise LLVM would
         compute them where they are read, in another line."""
         written = self.e.block_now.body[self._since :]
@@ -97,7 +97,7 @@ class _Marks:
                 self._kept[value.type] = self.e.slot(value.kind, value.lanes)
             self.e.do("volatile", value, self._kept[value.type])
 
-    def _border(self, count: Lanes) -> None:
+    def _add_barrier(self, count: Lanes) -> None:
         """Prevent LLVM from moving later operations before this point. LLVM reorders instructions within a basic block, and a
         branch that it cannot prove always taken starts a new block. No count is 0."""
         e, never, following = self.e, self.e.label("never"), self.e.label("marked")
@@ -109,17 +109,17 @@ class _Marks:
         self._since = 0
 
 
-def mark(w: Writer) -> None:
+def add_marks(w: FunctionWriter) -> None:
     """Add marks to a function that is complete except for its end."""
-    _Marks(w).write()
+    _MarkWriter(w).write()
 
 
 @dataclass(slots=True, eq=False)
-class Times:
+class LineTimes:
     """The times of a block's parts in one run. `ticks` are the counters that its code adds to, `lane` comes from `Metered.lane`,
     `seconds` is the time of the functions."""
 
-    lines: Lines
+    lines: LineCounters
     ticks: NDArray[np.int64]
     lane: list[float]
     seconds: float = 0.0
@@ -127,11 +127,11 @@ class Times:
     def __post_init__(self) -> None:
         self.ticks[:] = 0
 
-    def called(self, instruction: Instruction, seconds: float) -> None:
+    def add_call(self, instruction: Instruction, seconds: float) -> None:
         """Add the time of an instruction without machine code."""
         self._add(self.lines.numbers[instruction], seconds)
 
-    def end(self) -> None:
+    def distribute(self) -> None:
         """Divide the time of the functions among their lines."""
         ticks = np.maximum(self.ticks, 0)  # counters of two processors may differ
         to_seconds = self.seconds / max(int(ticks.sum()), 1)

@@ -9,8 +9,8 @@ import numpy as np
 from antdsl.machine_code.kinds import I32, I64, WIDTH
 from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
-from antdsl.runtime.backends.native.block import Writer
-from antdsl.runtime.backends.native.fours import four_at, quadruples
+from antdsl.runtime.backends.native.block import FunctionWriter
+from antdsl.runtime.backends.native.fours import load_quadruples, quadruple_address
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.world import AXES
 
@@ -40,7 +40,7 @@ class NearPairs:
     """Eight pairs: a mask of those that exist, the others' rows, the vector other minus own, and its length. `at` are their
     indices in the grid, `place` their positions."""
 
-    w: Writer
+    w: FunctionWriter
     near: Search
     is_present: Lanes
     at: Lanes
@@ -53,7 +53,7 @@ class NearPairs:
 
     def ids(self) -> Lanes:
         def make() -> Lanes:
-            return self.w.e.gather(self.w.base("other", self.near.other, "unsorted ids"), self._rows(), I64)
+            return self.w.e.gather(self.w.base("other", self.near.other, "unsorted ids"), self._extract_rows(), I64)
 
         found: Lanes = self.w.e.get_or_make(("ids", self.rows.name), make)
         return found
@@ -68,30 +68,30 @@ class NearPairs:
             return self.place[PLACE.index(node.attrs[0])]
         for names in self.near.beside:
             if node.attrs[0] in names.split():
-                return self._beside(names)[names.split().index(node.attrs[0])]
-        return self.w.e.gather(self.w.base("other", self.near.other, node.attrs[0]), self._rows(), KINDS[node.kind])
+                return self._extra_values(names)[names.split().index(node.attrs[0])]
+        return self.w.e.gather(self.w.base("other", self.near.other, node.attrs[0]), self._extract_rows(), KINDS[node.kind])
 
-    def _beside(self, names: str) -> list[Lanes]:
+    def _extra_values(self, names: str) -> list[Lanes]:
         e, base = self.w.e, self.w.base("grid", self.near.number, names)
-        registers: list[Lanes] = e.get_or_make((names, self.rows.name), lambda: quadruples(e, base, self.at))
+        registers: list[Lanes] = e.get_or_make((names, self.rows.name), lambda: load_quadruples(e, base, self.at))
         return registers
 
-    def _rows(self) -> Lanes:
+    def _extract_rows(self) -> Lanes:
         """Return the others' rows, each loaded separately. They are needed one by one as addresses, and extracting them from
         eight lanes is slow."""
         e, positions = self.w.e, self.w.base("grid", self.near.number, "places")
 
         def make() -> Lanes:
-            fours = (four_at(e, positions, e.one(self.at, lane)) for lane in range(WIDTH))
-            return e.together(e.load(e.field(four, 12), I32) for four in fours)
+            fours = (quadruple_address(e, positions, e.one(self.at, lane)) for lane in range(WIDTH))
+            return e.combine_lanes(e.load(e.field(four, 12), I32) for four in fours)
 
         row_lanes: Lanes = e.get_or_make(("rows", self.rows.name), make)
         return row_lanes
 
 
-def measured(w: Writer, near: Search, at: Lanes, place: list[Lanes], is_present: Lanes) -> NearPairs:
+def measure_pairs(w: FunctionWriter, near: Search, at: Lanes, place: list[Lanes], is_present: Lanes) -> NearPairs:
     """Return pairs of the requesting agents' positions with others at indices of the grid."""
     e = w.e
-    *others, rows = quadruples(e, w.base("grid", near.number, "places"), at)
+    *others, rows = load_quadruples(e, w.base("grid", near.number, "places"), at)
     dx, dy, dz = (other - own for other, own in zip(others, place, strict=True))
     return NearPairs(w, near, is_present, at, e.bits(rows, I32), others, dx, dy, dz, np.sqrt((dx * dx + dy * dy) + dz * dz))

@@ -18,29 +18,29 @@ from weakref import ReferenceType, WeakKeyDictionary, ref
 from antdsl.machine_code import codes, machine
 from antdsl.plan import ir
 from antdsl.runtime.backends import numpy_calls
-from antdsl.runtime.backends.compile import Does, Instruction, Run
+from antdsl.runtime.backends.compile import Instruction, InstructionKind, Run
 from antdsl.runtime.backends.native import stored
 from antdsl.runtime.backends.native.block import BlockCode
-from antdsl.runtime.backends.native.programs import Blocks, Facts, Program, program
+from antdsl.runtime.backends.native.programs import Blocks, Program, WorldFacts, program
 from antdsl.runtime.sensing import SENSES
 
-_plans: WeakKeyDictionary[ir.Plan, dict[Facts, Ready]] = WeakKeyDictionary()
-_requests: list[tuple[ReferenceType[Future[Ready]], Generator[None, None, Ready]]] = []
+_plans: WeakKeyDictionary[ir.Plan, dict[WorldFacts, ReadyCode]] = WeakKeyDictionary()
+_requests: list[tuple[ReferenceType[Future[ReadyCode]], Generator[None, None, ReadyCode]]] = []
 _guard = Lock()
 
 
-class Unavailable(Exception):
+class CodeUnavailable(Exception):
     """Machine code cannot be made here. The message gives the reason and a remedy."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ready:
+class ReadyCode:
     """`blocks` as they were compiled, which the rest refers to; `written` is what became of them; `codes` by the name of a
     function; `calls` makes each call of an instruction that has no machine code; `together`: by block and stage what is called
     after it, those of one sense with one name at once."""
 
     blocks: Blocks
-    facts: Facts
+    facts: WorldFacts
     written: Mapping[tuple[str, str], BlockCode]
     codes: Mapping[str, machine.Code]
     calls: Mapping[Instruction, Run]
@@ -51,16 +51,18 @@ class Ready:
         return self.codes[name].function(name)
 
 
-def known(plan: ir.Plan, facts: Facts) -> Ready | None:
+def find_ready(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
     """Return an earlier result for a plan, while it is still in use somewhere."""
     with _guard:
         return _plans.get(plan, {}).get(facts)
 
 
-def _build_ready(plan: ir.Plan, blocks: Blocks, facts: Facts, known: stored.Written | None) -> Generator[None, None, Ready]:
+def _build_ready(
+    plan: ir.Plan, blocks: Blocks, facts: WorldFacts, known: stored.Written | None
+) -> Generator[None, None, ReadyCode]:
     """Compile a plan's blocks for this processor, one piece of work per step of the generator. Raises Unavailable."""
     if why := machine.unavailable():
-        raise Unavailable(why)
+        raise CodeUnavailable(why)
     host = machine.host()
     text = cache(lambda: program(plan, blocks, facts, host))
     if known is None:
@@ -74,14 +76,14 @@ def _build_ready(plan: ir.Plan, blocks: Blocks, facts: Facts, known: stored.Writ
     together: dict[tuple[str, str, int], list[list[Instruction]]] = {}
     for key, code in written.items():
         for stage, called in enumerate(code.schedule.calls):
-            together[(*key, stage)] = _groups(called)
+            together[(*key, stage)] = _group_calls(called)
         for each in (each for called in code.schedule.calls for each in called):
             calls[each] = numpy_calls.call(each, blocks[key])(each.out, each.inputs, None)
     machine_codes = {}
     for name, named in units.items():
         machine_codes[name] = codes.code(named, partial(_unit, text, name))
         yield
-    ready = Ready(blocks, facts, written, machine_codes, calls, together)
+    ready = ReadyCode(blocks, facts, written, machine_codes, calls, together)
     with _guard:
         _plans.setdefault(plan, {})[facts] = ready
     return ready
@@ -91,25 +93,25 @@ def _unit(text: Callable[[], Program], name: str) -> str:
     return text().units[name]
 
 
-def find(plan: ir.Plan, blocks: Blocks, facts: Facts) -> stored.Written | None:
+def find(plan: ir.Plan, blocks: Blocks, facts: WorldFacts) -> stored.Written | None:
     """What an earlier run stored of a plan's blocks: their code can be loaded at once."""
-    subject = stored.subject(plan, blocks, facts, machine.host()) if machine.available() else None
+    subject = stored.subject(plan, blocks, facts, machine.host()) if machine.is_available() else None
     return None if subject is None else stored.read(subject)
 
 
-def beside(plan: ir.Plan, blocks: Blocks, facts: Facts, known: stored.Written | None = None) -> Future[Ready]:
+def start_building(plan: ir.Plan, blocks: Blocks, facts: WorldFacts, known: stored.Written | None = None) -> Future[ReadyCode]:
     """A plan's blocks as machine code for this processor, made in a thread; Unavailable where it cannot be made. What was asked
     for last is made first: it is what somebody looks at. It is made as long as whoever asked holds what this gives: of a program
     that is saved again before its code has come, the world before is gone, and nothing more is made for it. `known`: what
     `find` gives."""
-    coming: Future[Ready] = Future()
+    coming: Future[ReadyCode] = Future()
     with _guard:
         _requests.append((ref(coming), _build_ready(plan, blocks, facts, known)))
-    _worker().submit(_work)
+    _worker().submit(_do_piece)
     return coming
 
 
-def _work() -> None:
+def _do_piece() -> None:
     """Do one piece of the latest request that is still needed."""
     with _guard:
         _requests[:] = [each for each in _requests if each[0]() is not None]
@@ -119,16 +121,16 @@ def _work() -> None:
     try:
         next(making)
     except StopIteration as made:
-        ready: Ready = made.value
-        _over(future_reference, lambda coming: coming.set_result(ready))
+        ready: ReadyCode = made.value
+        _finish_request(future_reference, lambda coming: coming.set_result(ready))
     except Exception as problem:
         why = problem
-        _over(future_reference, lambda coming: coming.set_exception(why))
+        _finish_request(future_reference, lambda coming: coming.set_exception(why))
     with suppress(RuntimeError):  # the program is exiting, so no caller waits
-        _worker().submit(_work)
+        _worker().submit(_do_piece)
 
 
-def _over(future_reference: ReferenceType[Future[Ready]], tell: Callable[[Future[Ready]], None]) -> None:
+def _finish_request(future_reference: ReferenceType[Future[ReadyCode]], tell: Callable[[Future[ReadyCode]], None]) -> None:
     """Complete a request: its result is ready, or it has failed."""
     with _guard:
         _requests[:] = [each for each in _requests if each[0] is not future_reference]
@@ -137,7 +139,7 @@ def _over(future_reference: ReferenceType[Future[Ready]], tell: Callable[[Future
         tell(coming)
 
 
-def forget() -> None:
+def release_code() -> None:
     """Drop all code in memory that no backend uses, as in a new process. Code stored in folders stays."""
     with _guard:
         _plans.clear()
@@ -149,12 +151,12 @@ def _worker() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(1, "machine code")
 
 
-def _groups(calls: list[Instruction]) -> list[list[Instruction]]:
+def _group_calls(calls: list[Instruction]) -> list[list[Instruction]]:
     """Return calls in their order, grouped: calls of one sense with one name run at once."""
     groups: list[list[Instruction]] = []
     known: dict[Any, list[Instruction]] = {}
     for each in calls:
-        if each.does is not Does.VALUE or not isinstance(each.what, ir.Node) or each.what.op not in SENSES:
+        if each.does is not InstructionKind.VALUE or not isinstance(each.what, ir.Node) or each.what.op not in SENSES:
             groups.append([each])
             continue
         key = (each.what.op, each.what.attrs)

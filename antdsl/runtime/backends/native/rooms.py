@@ -10,20 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.machine_code.kinds import WIDTH
-from antdsl.machine_code.memory import address, has_room, roomy
+from antdsl.machine_code.memory import address, has_padding, padded_copy
 from antdsl.runtime.backends.native.layout import Key
 from antdsl.runtime.world import Population
 
 _FEW = 64  # number of arrays below which unused ones are not searched for
 
 
-class Rooms:
+class PaddedArrays:
     """Padded arrays by content; all blocks that name the same content share one."""
 
     def __init__(self) -> None:
         self._moved: dict[int, tuple[NDArray[Any], NDArray[Any], int]] = {}  # by identity: an array, that with room, its address
         self._most = _FEW  # arrays, above which it is looked who still has them
-        self._copies: dict[Key, Copy] = {}
+        self._copies: dict[Key, PaddedCopy] = {}
         self.step = 0  # goes up with each: what stays while one lasts is copied once
 
     def place(self, array: NDArray[Any]) -> tuple[NDArray[Any], int]:
@@ -31,7 +31,7 @@ class Rooms:
         caller continues with the returned array."""
         known = self._moved.get(id(array))
         if known is None:
-            new = array if has_room(array) else roomy(array)
+            new = array if has_padding(array) else padded_copy(array)
             known = self._moved[id(array)] = (array, new, address(new))
             self._moved[id(new)] = (new, *known[1:])
         # a caller, such as a spec query, continues with the array without padding: it may have changed
@@ -39,7 +39,7 @@ class Rooms:
             np.copyto(known[1], array)
         return known[1:]
 
-    def moved(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
+    def move_register(self, population: Population, name: str, *, start: bool) -> tuple[NDArray[Any], int]:
         """Return a register's array and its address, after moving it into a padded array if needed. If start and now shared the
         old array, they share the new one; otherwise it would be copied at the end of each step."""
         holders = population.start, population.now
@@ -50,7 +50,7 @@ class Rooms:
                 holder[name] = located_array[0]
         return located_array
 
-    def settle(self, populations: Iterable[Population]) -> None:
+    def begin_step(self, populations: Iterable[Population]) -> None:
         """Begin a step: release unused arrays once they may outnumber those in use."""
         self.step += 1
         if len(self._moved) > self._most:
@@ -58,21 +58,21 @@ class Rooms:
             self._moved = {key: known for key, known in self._moved.items() if id(known[1]) in held}
             self._most = max(_FEW, 2 * len(self._moved))
 
-    def forget(self) -> None:
+    def drop_unused(self) -> None:
         """Drop arrays that are no longer in use, after the rows changed."""
         self._moved.clear()
 
-    def copy(self, *key: Hashable) -> Copy:
+    def copy(self, *key: Hashable) -> PaddedCopy:
         """Return the copy for a key; all blocks that name it share it."""
-        return self._copies.setdefault(key, Copy(self))
+        return self._copies.setdefault(key, PaddedCopy(self))
 
 
-class Copy:
+class PaddedCopy:
     """A copy with room of an array that another part of the program owns, or of something made of the world."""
 
     __slots__ = ("_address", "_of", "_rooms", "_whole")
 
-    def __init__(self, rooms: Rooms) -> None:
+    def __init__(self, rooms: PaddedArrays) -> None:
         self._rooms, self._address = rooms, 0
         self._of: Any = None
         self._whole: NDArray[Any] = np.zeros(0)
@@ -81,19 +81,19 @@ class Copy:
         """Return the address of a copy. The copy is valid while `stamp` stays the same; without one, for one step."""
         stamp = self._rooms.step if stamp is None else stamp
         if stamp != self._of or len(self._whole) != len(array) + WIDTH:
-            self._size(len(array), dtype)
+            self._resize(len(array), dtype)
             self._whole[: len(array)] = array
             self._of = stamp
         return self._address
 
-    def lasting(self, of: Any, make: Callable[[], NDArray[Any]]) -> int:
+    def lasting_address(self, of: Any, make: Callable[[], NDArray[Any]]) -> int:
         """Return the address of an array derived from `of`, made again when `of` is another object."""
         if of is not self._of:
             self._of, self._whole = of, make()
             self._address = address(self._whole)
         return self._address
 
-    def _size(self, rows: int, dtype: Any) -> None:
+    def _resize(self, rows: int, dtype: Any) -> None:
         if len(self._whole) != rows + WIDTH:
             self._whole = np.zeros(rows + WIDTH, dtype)
             self._address = address(self._whole)

@@ -16,14 +16,14 @@ from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
 from antdsl.numerics.host import EACH, cores
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import EFFECTS, PAIRS, POPULATION, THREADS, WORLD, Does, Instruction, Scope
-from antdsl.runtime.backends.metering import Metered
+from antdsl.runtime.backends.compile import EFFECTS, PAIRS, POPULATION, THREADS, WORLD, Instruction, InstructionKind, Scope
+from antdsl.runtime.backends.metering import MeteredBlock
 from antdsl.runtime.backends.native.asking import record_request
-from antdsl.runtime.backends.native.lane import Lane
-from antdsl.runtime.backends.native.marks import Times
-from antdsl.runtime.backends.native.ready import Ready
-from antdsl.runtime.backends.native.rooms import Rooms
-from antdsl.runtime.backends.native.tables import Tables
+from antdsl.runtime.backends.native.lane import LaneMemory
+from antdsl.runtime.backends.native.marks import LineTimes
+from antdsl.runtime.backends.native.ready import ReadyCode
+from antdsl.runtime.backends.native.rooms import PaddedArrays
+from antdsl.runtime.backends.native.tables import AddressTables
 from antdsl.runtime.requests import FaultEntry
 from antdsl.runtime.sensing import IN_PLACE, SENSES
 from antdsl.runtime.world import Population, World
@@ -37,69 +37,71 @@ Calls = list[tuple[bool, list[tuple[Instruction, int]]]]
 class Block:
     """A block of one species, ready to be run step after step."""
 
-    def __init__(self, ready: Ready, species: str, name: str, rooms: Rooms) -> None:
+    def __init__(self, ready: ReadyCode, species: str, name: str, rooms: PaddedArrays) -> None:
         self.code, self.compiler = ready.written[species, name], ready.blocks[species, name]
-        self.tables = Tables(self.code, rooms)
+        self.tables = AddressTables(self.code, rooms)
         self.made = ready.calls
         self.uniform = {slot: node for node, slot in self.compiler.uniforms.items()}
         numbers = {each: number for number, each in enumerate(self.code.needs)}
         self._ready_for: tuple[int, ...] = ()
-        self._rounds: list[Round] = []
+        self._rounds: list[PartGroup] = []
         self.stages: list[tuple[Any, Calls]] = []  # function, and what is called after it
         for stage, function in enumerate(self.code.names):
             groups = ready.together[species, name, stage]
-            calls = [(_in_place(group[0]), [(each, numbers.get(each, -1)) for each in group]) for group in groups]
+            calls = [(_is_in_place(group[0]), [(each, numbers.get(each, -1)) for each in group]) for group in groups]
             self.stages.append((ready.function(function), calls))
 
     def run(
-        self, world: World, population: Population, values: dict[ir.Node, Any], timed: Metered | None
+        self, world: World, population: Population, values: dict[ir.Node, Any], timed: MeteredBlock | None
     ) -> list[tuple[int, int]]:
         """Run all rows through the block and add their requests to the population's effects, in row order. `values`: those that
         are equal for all agents. `timed`: collects times by line, if lines are timed. Returns the parts in which an agent has too
         many neighbours in a radius, each as first row and end row."""
-        count, others = len(population), self.tables.others(world)
+        count, others = len(population), self.tables.largest_species(world)
         of = (count, others, world.options.chunk, world.options.threads, self.tables.version)
         if of != self._ready_for:
-            self._ready(*of)
+            self._prepare_lanes(*of)
             self._ready_for = of
         if timed is not None:
-            return self._timed(world, population, values, timed)
-        return self._parts(world, population, values)
+            return self._run_timed(world, population, values, timed)
+        return self._run_parts(world, population, values)
 
-    def _ready(self, count: int, others: int, chunk: int, threads: int, version: int) -> None:
+    def _prepare_lanes(self, count: int, others: int, chunk: int, threads: int, version: int) -> None:
         """Divide the rows into parts and prepare their lanes."""
         threads = max(1, min(threads, cores()))
-        size = _part(count, chunk, threads)
+        size = _part_size(count, chunk, threads)
         bounds = [(begin, min(begin + size, count)) for begin in range(0, count, size)]
-        lanes = self.tables.ready(min(len(bounds), EACH * threads if threads > 1 else 1), size, others)
+        lanes = self.tables.prepare_lanes(min(len(bounds), EACH * threads if threads > 1 else 1), size, others)
         chunks = [Chunk(self, lane) for lane in lanes]
         firsts = range(0, len(bounds), len(lanes))
-        self._rounds = [Round(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
+        self._rounds = [PartGroup(self, chunks, bounds[first : first + len(lanes)], threads) for first in firsts]
 
-    def _timed(self, world: World, population: Population, values: dict[ir.Node, Any], timed: Metered) -> list[tuple[int, int]]:
+    def _run_timed(
+        self, world: World, population: Population, values: dict[ir.Node, Any], timed: MeteredBlock
+    ) -> list[tuple[int, int]]:
         lines, chunks, began = self.code.lines, self._rounds[0].chunks, perf_counter()
         for each in chunks:
-            each.times = None if lines is None else Times(lines, each.lane.ticks, timed.lane())
-        bad = self._parts(world, population, values)
+            each.times = None if lines is None else LineTimes(lines, each.lane.ticks, timed.new_lane())
+        bad = self._run_parts(world, population, values)
         counted = [each.times for each in chunks if each.times is not None]
         if counted:
             for spent in counted:
-                spent.end()
-            timed.take([spent.lane for spent in counted], perf_counter() - began if len(chunks) > 1 else np.inf)
+                spent.distribute()
+            timed.add_lanes([spent.lane for spent in counted], perf_counter() - began if len(chunks) > 1 else np.inf)
         return bad
 
-    def _parts(self, world: World, population: Population, values: dict[ir.Node, Any]) -> list[tuple[int, int]]:
+    def _run_parts(self, world: World, population: Population, values: dict[ir.Node, Any]) -> list[tuple[int, int]]:
         bad: list[tuple[int, int]] = []
         for each in self._rounds:
             bad += each.run(world, population, values)
         return bad
 
 
-def _in_place(each: Instruction) -> bool:
-    return each.does is Does.VALUE and isinstance(each.what, ir.Node) and each.what.op in IN_PLACE
+def _is_in_place(each: Instruction) -> bool:
+    return each.does is InstructionKind.VALUE and isinstance(each.what, ir.Node) and each.what.op in IN_PLACE
 
 
-def _part(count: int, chunk: int, threads: int) -> int:
+def _part_size(count: int, chunk: int, threads: int) -> int:
     """Return the rows of a part: at most a chunk, and where it pays several parts per thread for balance. The parts of a thread
     in one round are at most a chunk together, which stays in cache from stage to stage."""
     most = chunk if threads < 2 else chunk // EACH
@@ -108,7 +110,7 @@ def _part(count: int, chunk: int, threads: int) -> int:
     return _GRAIN * max(1, -(-count // most))
 
 
-class Round:
+class PartGroup:
     """Consecutive parts of a block's rows that go through its stages together. All pass one stage without the interpreter, then
     the calls at its end, then the next stage."""
 
@@ -126,14 +128,14 @@ class Round:
             each.begin(world, population, values, *part)
         for function, calls in self._block.stages:
             if timed:
-                self._each(partial(Chunk.stage, function=function))
+                self._for_each_part(partial(Chunk.run_stage, function=function))
             else:
-                parallel.listed(function, self._table, self._threads)
+                parallel.call_rows(function, self._table, self._threads)
             if calls:
                 self._calls(world, population, values, calls)
         return [part for each, part in zip(chunks, self._bounds, strict=True) if not each.end()]
 
-    def _each(self, work: Callable[[Chunk], object]) -> None:
+    def _for_each_part(self, work: Callable[[Chunk], object]) -> None:
         """Have work done for each part, in threads."""
         coming = iter(self.chunks)
 
@@ -153,13 +155,15 @@ class Round:
         for in_place, group in every:
             needed = [each for each, number in group if number < 0 or needs[number]]
             if needed and in_place:
-                self._answer(world, population, values, needed)
+                self._answer_calls(world, population, values, needed)
             elif needed:
                 others.append(group)
         if others:
-            self._each(partial(Chunk.calls, every=others))
+            self._for_each_part(partial(Chunk.make_calls, every=others))
 
-    def _answer(self, world: World, population: Population, values: dict[ir.Node, Any], instructions: list[Instruction]) -> None:
+    def _answer_calls(
+        self, world: World, population: Population, values: dict[ir.Node, Any], instructions: list[Instruction]
+    ) -> None:
         """Run one or several calls of one sense with one name. The inputs are where a stage stored them, the results where the
         next stage reads them."""
         began, block, node = perf_counter(), self._block, instructions[0].what
@@ -172,7 +176,7 @@ class Round:
                     array.fill(value)
         answer(world, population, node, slice(self._begin, self._end), asks)
         if self.chunks[0].times is not None:
-            self.chunks[0].took(began, instructions, [int(np.count_nonzero(asking)) for asking, _, _ in asks])
+            self.chunks[0].add_call_time(began, instructions, [int(np.count_nonzero(asking)) for asking, _, _ in asks])
 
 
 class Chunk:
@@ -184,9 +188,9 @@ class Chunk:
     first: int
     last: int
 
-    def __init__(self, block: Block, lane: Lane) -> None:
+    def __init__(self, block: Block, lane: LaneMemory) -> None:
         self.block, self.lane = block, lane
-        self.times: Times | None = None
+        self.times: LineTimes | None = None
         self._picked: dict[int, NDArray[np.intp]] = {}
         self._slots: list[Any] | None = None
 
@@ -196,9 +200,9 @@ class Chunk:
         self.first, self.last = first, last
         self._slots = None
         self._picked.clear()
-        self.lane.begin()
+        self.lane.reset_counts()
 
-    def stage(self, function: Callable[[int, int, int], None]) -> None:
+    def run_stage(self, function: Callable[[int, int, int], None]) -> None:
         """Take the rows through a stage, and count its time."""
         began = perf_counter()
         function(self.lane.address, self.first, self.last)
@@ -217,19 +221,19 @@ class Chunk:
                         self.block.code.lists[number], [column[:count].copy() for column in lane.columns[number]], effects
                     )
             if lane.notes[0]:
-                self._faults()
+                self._record_faults()
         self._slots = None
         del self.world, self.population, self.values  # not needed once no other thread uses them
         return not crowded
 
-    def took(self, began: float, instructions: list[Instruction], rows: list[int]) -> None:
+    def add_call_time(self, began: float, instructions: list[Instruction], rows: list[int]) -> None:
         """Divide the time of completed calls among them, by the rows of each."""
         if self.times is not None:
             each_row = (perf_counter() - began) / max(sum(rows), 1)
             for each, count in zip(instructions, rows, strict=True):
-                self.times.called(each, count * each_row)
+                self.times.add_call(each, count * each_row)
 
-    def _faults(self) -> None:
+    def _record_faults(self) -> None:
         """Values that were refused."""
         notes = self.lane.notes
         for k in range(int(notes[0])):
@@ -240,7 +244,7 @@ class Chunk:
 
     # --- calls ---------------------------------------------------------------------------------------------------------
 
-    def _known(self) -> list[Any]:
+    def _numpy_slots(self) -> list[Any]:
         """Slots as NumPy's calls have them."""
         if self._slots is None:
             compiler = self.block.compiler
@@ -258,45 +262,45 @@ class Chunk:
             (self._picked[slot],) = self.lane.arrays[slot, 0][: self.last - self.first].nonzero()
         return self._picked[slot]
 
-    def _enter(self, scope: Scope) -> NDArray[np.intp]:
-        rows, v = self._rows_of(self.block.code.schedule.slot(scope.rows)), self._known()
+    def _scope_rows(self, scope: Scope) -> NDArray[np.intp]:
+        rows, v = self._rows_of(self.block.code.schedule.slot(scope.rows)), self._numpy_slots()
         is_complete = len(rows) == self.last - self.first
         v[scope.rows], v[scope.size] = (slice(self.first, self.last) if is_complete else rows + self.first), len(rows)
         return rows
 
-    def _operand(self, slot: int, rows: NDArray[np.intp]) -> Any:
+    def _operand_values(self, slot: int, rows: NDArray[np.intp]) -> Any:
         """Return a stage's values for some rows, or a value that is equal for all agents."""
         source = self.block.code.schedule.slot(slot)
         array = self.lane.arrays.get((source, 0))
         if array is not None:
             return array.take(rows)
-        return self._known()[source]
+        return self._numpy_slots()[source]
 
     def _run_call(self, each: Instruction, rows: NDArray[np.intp]) -> Any:
         """Run a call of NumPy's for some rows."""
-        v = self._known()
+        v = self._numpy_slots()
         for slot in each.inputs:
-            v[slot] = self._operand(slot, rows)
+            v[slot] = self._operand_values(slot, rows)
         self.block.made[each](v)
         return v[each.out]
 
-    def calls(self, every: Sequence[list[tuple[Instruction, int]]]) -> None:
+    def make_calls(self, every: Sequence[list[tuple[Instruction, int]]]) -> None:
         """Make these calls, each for the rows that need it."""
         needs = self.lane.needs.tolist()
         for group in every:
             needed = [each for each, number in group if number < 0 or needs[number]]
             if needed:
                 with np.errstate(all="ignore"):
-                    self._call(needed)
+                    self._make_call(needed)
 
-    def _call(self, instructions: list[Instruction]) -> None:
+    def _make_call(self, instructions: list[Instruction]) -> None:
         """Make a call, or several of one sense with one name at once: a row appears once for each of its requests."""
         code, began = self.block.code, perf_counter()
         if len(instructions) == 1 and instructions[0] not in code.guarded:
-            rows = self._enter(instructions[0].scope)
+            rows = self._scope_rows(instructions[0].scope)
             if len(rows):
-                self._leave(instructions[0], rows, self._run_call(instructions[0], rows))
-                self.took(began, instructions, [len(rows)])
+                self._store_results(instructions[0], rows, self._run_call(instructions[0], rows))
+                self.add_call_time(began, instructions, [len(rows)])
             return
         chosen = [self._rows_of(code.mask_of(each)) for each in instructions]
         ends = list(accumulate(len(rows) for rows in chosen))
@@ -304,7 +308,7 @@ class Chunk:
             return
         columns = []
         for place in range(len(instructions[0].inputs)):
-            parts = [self._operand(each.inputs[place], rows) for each, rows in zip(instructions, chosen, strict=True)]
+            parts = [self._operand_values(each.inputs[place], rows) for each, rows in zip(instructions, chosen, strict=True)]
             pairs = zip(parts, chosen, strict=True)
             spread = [part if isinstance(part, np.ndarray) and part.ndim else np.full(len(rows), part) for part, rows in pairs]
             columns.append(np.concatenate(spread))
@@ -315,10 +319,10 @@ class Chunk:
         parts_of = results if isinstance(results, tuple) else (results,)
         for each, rows, end in zip(instructions, chosen, ends, strict=True):
             if len(rows):
-                self._leave(each, rows, tuple(part[end - len(rows) : end] for part in parts_of))
-        self.took(began, instructions, [len(rows) for rows in chosen])
+                self._store_results(each, rows, tuple(part[end - len(rows) : end] for part in parts_of))
+        self.add_call_time(began, instructions, [len(rows) for rows in chosen])
 
-    def _leave(self, each: Instruction, rows: NDArray[np.intp], results: Any) -> None:
+    def _store_results(self, each: Instruction, rows: NDArray[np.intp], results: Any) -> None:
         """Put the results of a call where the next stage looks for them."""
         for part, value in enumerate(results if isinstance(results, tuple) else (results,)):
             array = self.lane.arrays.get((each.out, part))

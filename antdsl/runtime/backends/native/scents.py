@@ -8,7 +8,7 @@ from typing import Any
 from antdsl.machine_code.kinds import BOOL, I32
 from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
+from antdsl.runtime.backends.compile import BlockCompiler, Instruction, InstructionKind, Scope
 from antdsl.runtime.backends.native.schedule import Schedule
 
 _STRENGTH = 0  # part of what `field.strongest` gives
@@ -22,7 +22,7 @@ def own_cell(w: Any, field: str) -> Lanes:
     return cell_number
 
 
-def reached(w: Any, node: ir.Node, bound: ir.Node) -> Lanes:
+def may_reach(w: Any, node: ir.Node, bound: ir.Node) -> Lanes:
     """Return the lanes for which a cell around may hold as much as a bound."""
 
     def make() -> Lanes:
@@ -36,28 +36,32 @@ def reached(w: Any, node: ir.Node, bound: ir.Node) -> Lanes:
 def strength(w: Any, node: ir.Node, bound: ir.Node, stored_strength: Lanes) -> Lanes:
     """Return the stored value `stored_strength` of scents that may reach the bound. For others, return 0, which is below the
     bound as their true value is."""
-    bounded_strength: Lanes = w.e.where(reached(w, node, bound), stored_strength, w.e.constant(0.0, stored_strength.kind))
+    bounded_strength: Lanes = w.e.where(may_reach(w, node, bound), stored_strength, w.e.constant(0.0, stored_strength.kind))
     return bounded_strength
 
 
-def bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Node]:
+def find_bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Node]:
     """Return the bounds of scents by slot. These scents are stored for the step and only compared with one number, which is equal
     for all agents."""
     uniform = {slot: node for node, slot in compiler.uniforms.items()}
     readers: dict[int, list[Instruction]] = {}
     scents: list[int] = []
-    for each in _all(compiler.root):
-        if each.does is not Does.GATHER:  # which only stands for what it gathers
+    for each in _all_instructions(compiler.root):
+        if each.does is not InstructionKind.GATHER:  # which only stands for what it gathers
             for slot in (*each.inputs, each.result):
                 readers.setdefault(schedule.slot(slot), []).append(each)
-        if each.does is Does.KEEP and _op(each) == "field.strongest" and each.out not in schedule.left:
+        if each.does is InstructionKind.KEEP and _operation_name(each) == "field.strongest" and each.out not in schedule.left:
             scents.append(each.out)
     scent_bounds = {}
     for scent in scents:
         parts = readers.get(scent, [])
         numbers = {schedule.slot(part.out) for part in parts}
         compared = [by for number in numbers for by in readers.get(number, [])]
-        if not compared or not all(_is_strength(part) for part in parts) or not all(_op(by) in _COMPARED for by in compared):
+        if (
+            not compared
+            or not all(_is_strength(part) for part in parts)
+            or not all(_operation_name(by) in _COMPARED for by in compared)
+        ):
             continue
         others = {schedule.slot(slot) for by in compared for slot in by.inputs} - numbers
         if len(others) == 1 and (slot := others.pop()) in uniform:
@@ -65,18 +69,21 @@ def bounds(compiler: BlockCompiler, schedule: Schedule) -> dict[int, ir.Node]:
     return scent_bounds
 
 
-def _op(each: Instruction) -> str:
+def _operation_name(each: Instruction) -> str:
     return each.what.op if isinstance(each.what, ir.Node) else ""
 
 
 def _is_strength(each: Instruction) -> bool:
     return (
-        each.does is Does.VALUE and isinstance(each.what, ir.Node) and each.what.op == "get" and each.what.attrs[0] == _STRENGTH
+        each.does is InstructionKind.VALUE
+        and isinstance(each.what, ir.Node)
+        and each.what.op == "get"
+        and each.what.attrs[0] == _STRENGTH
     )
 
 
-def _all(scope: Scope) -> Iterator[Instruction]:
+def _all_instructions(scope: Scope) -> Iterator[Instruction]:
     for each in scope.code:
         yield each
         if each.inner is not None:
-            yield from _all(each.inner)
+            yield from _all_instructions(each.inner)

@@ -10,10 +10,10 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 from antdsl.plan import ir
-from antdsl.runtime.backends.compile import BlockCompiler, Does, Instruction, Scope
+from antdsl.runtime.backends.compile import BlockCompiler, Instruction, InstructionKind, Scope
 
 _REREAD_OPS = frozenset(("snap", "id"))  # read again rather than left in an array
-PAIRED = (Does.PAIRS, Does.SPREAD, Does.OF_PAIR, Does.BY_PAIR)
+PAIRED = (InstructionKind.PAIRS, InstructionKind.SPREAD, InstructionKind.OF_PAIR, InstructionKind.BY_PAIR)
 
 
 @dataclass(slots=True, eq=False)
@@ -43,7 +43,7 @@ class Schedule:
 
 
 @dataclass(slots=True)
-class _Maker:
+class _ScheduleBuilder:
     compiler: BlockCompiler
     lowers: Callable[[ir.Node], bool]
     costly: Callable[[ir.Node], bool]
@@ -59,26 +59,26 @@ class _Maker:
     paired: set[int] = field(default_factory=set)  # slots over pairs that calls need
 
 
-def schedule(compiler: BlockCompiler, lowers: Callable[[ir.Node], bool], costly: Callable[[ir.Node], bool]) -> Schedule:
+def make_schedule(compiler: BlockCompiler, lowers: Callable[[ir.Node], bool], costly: Callable[[ir.Node], bool]) -> Schedule:
     """Return the stages of a block. `lowers`: whether a node has machine code. `costly`: whether machine code must also store a
     node that is cached for the step, instead of computing it again."""
-    maker = _Maker(compiler, lowers, costly, frozenset(compiler.uniforms.values()))
-    for instruction in _all(compiler.root):
+    maker = _ScheduleBuilder(compiler, lowers, costly, frozenset(compiler.uniforms.values()))
+    for instruction in _all_instructions(compiler.root):
         what = instruction.what
-        if instruction.does is Does.REDUCE and isinstance(what, ir.Node) and not lowers(what):
-            _paired(maker, instruction)
-    _first(maker, compiler.root, 0)
+        if instruction.does is InstructionKind.REDUCE and isinstance(what, ir.Node) and not lowers(what):
+            _find_pair_slots(maker, instruction)
+    _assign_stages(maker, compiler.root, 0)
     return _trace_uses(maker)
 
 
-def _all(scope: Scope) -> Iterator[Instruction]:
+def _all_instructions(scope: Scope) -> Iterator[Instruction]:
     for instruction in scope.code:
         yield instruction
         if instruction.inner is not None:
-            yield from _all(instruction.inner)
+            yield from _all_instructions(instruction.inner)
 
 
-def _paired(maker: _Maker, reduce: Instruction) -> None:
+def _find_pair_slots(maker: _ScheduleBuilder, reduce: Instruction) -> None:
     """Slots over pairs that a called reduction is made of."""
     makers = {each.out: each for each in reduce.scope.code if each.does in PAIRED}
     pending = [slot for slot in reduce.inputs if slot in makers]
@@ -89,58 +89,58 @@ def _paired(maker: _Maker, reduce: Instruction) -> None:
             pending += [each for each in makers[slot].inputs if each in makers]
 
 
-def _slot(maker: _Maker, slot: int) -> int:
+def _resolve_alias(maker: _ScheduleBuilder, slot: int) -> int:
     while slot in maker.alias:
         slot = maker.alias[slot]
     return slot
 
 
-def _known(maker: _Maker, slots: tuple[int, ...]) -> int:
-    return max((maker.first.get(_slot(maker, slot), 0) for slot in slots), default=0)
+def _earliest_stage(maker: _ScheduleBuilder, slots: tuple[int, ...]) -> int:
+    return max((maker.first.get(_resolve_alias(maker, slot), 0) for slot in slots), default=0)
 
 
-def _first(maker: _Maker, scope: Scope, mask_stage: int) -> None:
+def _assign_stages(maker: _ScheduleBuilder, scope: Scope, mask_stage: int) -> None:
     """Compute the first stage in which each value can be known, and that of each statement. `mask_stage`: the first stage with
     the scope's mask."""
     maker.first[scope.rows] = mask_stage
     for each in scope.code:
-        stage, what = max(mask_stage, _known(maker, each.inputs)), each.what
+        stage, what = max(mask_stage, _earliest_stage(maker, each.inputs)), each.what
         match each.does:
-            case Does.GATHER:
+            case InstructionKind.GATHER:
                 maker.alias[each.out] = each.inputs[0]
-            case Does.REGION:
+            case InstructionKind.REGION:
                 assert each.inner is not None
-                _first(maker, each.inner, stage)
-            case Does.KEEP:
+                _assign_stages(maker, each.inner, stage)
+            case InstructionKind.KEEP:
                 assert each.inner is not None and isinstance(what, ir.Node)
                 key = ("kept", what)
                 stage = max(mask_stage, maker.stored.get(key, 0))
                 if maker.lowers(what) and not maker.costly(what):
                     maker.inlined.add(each)
                     maker.alias[each.out], maker.alias[each.inner.rows] = each.result, scope.rows
-                    _first(maker, each.inner, mask_stage)
+                    _assign_stages(maker, each.inner, mask_stage)
                 else:
                     maker.loaded[key] = stage
-                    _first(maker, each.inner, stage)
-                    result = maker.first.get(_slot(maker, each.result), 0)
+                    _assign_stages(maker, each.inner, stage)
+                    result = maker.first.get(_resolve_alias(maker, each.result), 0)
                     maker.at[each] = maker.stored[key] = maker.first[each.out] = max(stage, result)
-            case Does.STATEMENT:
+            case InstructionKind.STATEMENT:
                 register = what.register if isinstance(what, ir.Store) else what.own if isinstance(what, ir.Give) else None
                 if register is not None:
                     stage = max(stage, maker.stored.get(register, 0), maker.loaded.get(register, 0))
                     maker.stored[register] = stage
                 maker.at[each] = stage
-            case Does.VALUE | Does.REDUCE if isinstance(what, ir.Node) and maker.lowers(what):
+            case InstructionKind.VALUE | InstructionKind.REDUCE if isinstance(what, ir.Node) and maker.lowers(what):
                 if what.op == "load":
                     stage = max(stage, maker.stored.get(what.attrs[0], 0))
                     maker.loaded[what.attrs[0]] = max(stage, maker.loaded.get(what.attrs[0], 0))
-                elif each.does is Does.REDUCE:
-                    stage = max(mask_stage, _known(maker, operands_of(each)))
+                elif each.does is InstructionKind.REDUCE:
+                    stage = max(mask_stage, _earliest_stage(maker, operands_of(each)))
                 maker.native.add(each)
                 maker.first[each.out] = stage
             case _:
                 if each.does in PAIRED and each.out not in maker.paired:
-                    if each.does is Does.SPREAD:
+                    if each.does is InstructionKind.SPREAD:
                         maker.alias[each.out] = each.inputs[0]
                     else:
                         maker.first[each.out] = stage
@@ -163,14 +163,14 @@ def operands_of(reduce: Instruction) -> tuple[int, ...]:
         producer = makers.get(slot)
         if producer is None:
             operands[slot] = None
-        elif producer.does is Does.SPREAD:
+        elif producer.does is InstructionKind.SPREAD:
             operands[producer.inputs[0]] = None
         else:
             pending += producer.inputs
     return tuple(operands)
 
 
-def _trace_uses(maker: _Maker) -> Schedule:
+def _trace_uses(maker: _ScheduleBuilder) -> Schedule:
     stages = 1 + max([*maker.first.values(), *maker.at.values(), *(k + 1 for k in maker.called)], default=0)
     calls = [maker.called.get(k, []) for k in range(stages)]
     called = {each for group in calls for each in group}
@@ -180,7 +180,7 @@ def _trace_uses(maker: _Maker) -> Schedule:
 
     def want(slots: tuple[int, ...], stage: int, array: bool = False) -> None:
         for slot in slots:
-            slot = _slot(maker, slot)
+            slot = _resolve_alias(maker, slot)
             if slot in maker.uniform:
                 continue
             use_stages.setdefault(slot, set()).add(stage)
@@ -189,17 +189,17 @@ def _trace_uses(maker: _Maker) -> Schedule:
 
     made_by_calls = {each.out for each in called}
     reread_slots: set[int] = set()
-    for each in reversed(list(_in_order(maker.compiler.root))):
+    for each in reversed(list(_run_order(maker.compiler.root))):
         instruction, ending = each
         scope, out = instruction.scope, instruction.out
-        if instruction.does is Does.REGION:
+        if instruction.does is InstructionKind.REGION:
             assert instruction.inner is not None
             mask = instruction.inner.rows
             if not ending and mask in use_stages:
                 home[mask] = min(use_stages[mask])
                 want((instruction.inputs[0], scope.rows), home[mask])
-                _through(maker, scope, use_stages, use_stages[mask])
-        elif instruction.does is Does.KEEP:
+                _propagate_outwards(maker, scope, use_stages, use_stages[mask])
+        elif instruction.does is InstructionKind.KEEP:
             assert instruction.inner is not None
             mask = instruction.inner.rows
             if instruction in maker.inlined:
@@ -210,21 +210,21 @@ def _trace_uses(maker: _Maker) -> Schedule:
             elif mask in use_stages:
                 home[mask] = min(use_stages[mask])  # no stage before goes through the scope, to work it out
                 want((scope.rows,), home[mask])
-                _through(maker, scope, use_stages, use_stages[mask])
+                _propagate_outwards(maker, scope, use_stages, use_stages[mask])
         elif ending:
             continue
         elif instruction in called:
             stage = next(k for k, group in enumerate(calls) if instruction in group)
-            inputs = tuple(slot for slot in instruction.inputs if _slot(maker, slot) not in made_by_calls | maker.paired)
+            inputs = tuple(slot for slot in instruction.inputs if _resolve_alias(maker, slot) not in made_by_calls | maker.paired)
             want(inputs, stage, array=True)
             want((scope.rows,), stage, array=True)
             home[out] = stage + 1
-        elif instruction.does is Does.STATEMENT:
+        elif instruction.does is InstructionKind.STATEMENT:
             want((*instruction.inputs, scope.rows), maker.at[instruction])
         elif instruction in maker.native and out in use_stages:
             what = instruction.what
             assert isinstance(what, ir.Node)
-            inputs = operands_of(instruction) if instruction.does is Does.REDUCE else instruction.inputs
+            inputs = operands_of(instruction) if instruction.does is InstructionKind.REDUCE else instruction.inputs
             if what.op in _REREAD_OPS and out not in left:
                 home[out] = min(use_stages[out])
                 reread_slots.add(out)
@@ -243,16 +243,16 @@ def _trace_uses(maker: _Maker) -> Schedule:
     )
 
 
-def _through(maker: _Maker, scope: Scope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
+def _propagate_outwards(maker: _ScheduleBuilder, scope: Scope, use_stages: dict[int, set[int]], stages: set[int]) -> None:
     """Mark the enclosing scopes of an inner scope as needed in the same stages."""
-    use_stages.setdefault(_slot(maker, scope.rows), set()).update(stages)
+    use_stages.setdefault(_resolve_alias(maker, scope.rows), set()).update(stages)
 
 
-def _in_order(scope: Scope) -> Iterator[tuple[Instruction, bool]]:
+def _run_order(scope: Scope) -> Iterator[tuple[Instruction, bool]]:
     """Yield the instructions in execution order. One with an inner scope appears before that scope with False, and again after it
     with True."""
     for instruction in scope.code:
         yield instruction, False
         if instruction.inner is not None:
-            yield from _in_order(instruction.inner)
+            yield from _run_order(instruction.inner)
             yield instruction, True

@@ -19,17 +19,17 @@ from antdsl.machine_code.kernels.values import Number, text_type
 from antdsl.machine_code.kinds import BOOL, F32, I8, I32, I64, PTR, WIDTH
 from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.plan import ir
-from antdsl.plan.traverse import needed
+from antdsl.plan.traverse import required_nodes
 from antdsl.runtime.backends.compile import Instruction
-from antdsl.runtime.backends.native.block import BlockWriter, Near, Writer
-from antdsl.runtime.backends.native.cells import BEYOND, Rows, write_down
-from antdsl.runtime.backends.native.crowds import write_many
-from antdsl.runtime.backends.native.fours import four_at
+from antdsl.runtime.backends.native.block import BlockWriter, FunctionWriter, NeighbourSearch
+from antdsl.runtime.backends.native.cells import BEYOND, CellRows, append_numbers
+from antdsl.runtime.backends.native.crowds import write_dense_search
+from antdsl.runtime.backends.native.fours import quadruple_address
 from antdsl.runtime.backends.native.layout import KINDS
-from antdsl.runtime.backends.native.near import PLACE, STRIDE, Search, measured
+from antdsl.runtime.backends.native.near import PLACE, STRIDE, Search, measure_pairs
 from antdsl.runtime.backends.native.schedule import operands_of
-from antdsl.runtime.backends.native.sets import PairValues, own_values, sets_of, take
-from antdsl.runtime.backends.native.sums import Sum
+from antdsl.runtime.backends.native.sets import PairValues, accumulate, own_values, reduction_sets
+from antdsl.runtime.backends.native.sums import RunningReduction
 from antdsl.runtime.pairs import count_nearest
 from antdsl.runtime.world import AXES
 
@@ -41,7 +41,7 @@ _TINY, _SLACK = np.float32(1e-30), np.float32(1e-5)
 
 
 @dataclass(slots=True, eq=False)
-class Group:
+class ReductionGroup:
     """Reductions computed in one search. `own` is the address of the operand area, `out` that of the results, `answered_mask`
     that of the mask of agents that already have them."""
 
@@ -53,9 +53,9 @@ class Group:
     near: Search
 
 
-def neighbours(b: BlockWriter, instruction: Instruction) -> None:
+def emit_neighbour_reduction(b: BlockWriter, instruction: Instruction) -> None:
     """Emit a reduction over neighbours, with all others that the same search can compute."""
-    e, group = b.e, _group_of(b, instruction)
+    e, group = b.e, _make_group(b, instruction)
     shared = any(each.scope is not instruction.scope for each in group.instructions)
     mask = b.mask[-1]
     if not shared:
@@ -69,23 +69,23 @@ def neighbours(b: BlockWriter, instruction: Instruction) -> None:
     for k, each in enumerate(group.instructions):
         if each.scope is instruction.scope and not any(each.out in names for names in e.known):
             kind = KINDS[group.near.nodes[k].kind]
-            b.known(each.out, _of_area(e, group.out, k, kind))
+            b.known(each.out, _area_value(e, group.out, k, kind))
     for chosen, k in group.near.stops.items():
         if any(each.scope is instruction.scope and each.what.args[0] is chosen for each in group.instructions):  # type: ignore[union-attr]
-            with e.inside(e.any_lane(_of_area(e, group.out, k, BOOL) & mask)):
+            with e.inside(e.any_lane(_area_value(e, group.out, k, BOOL) & mask)):
                 e.put(b.base("counts"), e.constant(1, I64, 1))
 
 
-def _of_area(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
+def _area_value(e: LaneBuilder, area: Number, k: int, kind: str) -> Lanes:
     """An operand or a result of a search."""
     return e.convert(e.load(e.field(area, STRIDE * k), I8 if kind == BOOL else kind, WIDTH), kind)
 
 
-def _group_of(b: BlockWriter, first: Instruction) -> Group:
+def _make_group(b: BlockWriter, first: Instruction) -> ReductionGroup:
     if first in b.groups:
-        known_group: Group = b.groups[first]
+        known_group: ReductionGroup = b.groups[first]
         return known_group
-    together = [first, *(each for each in b.waiting(first) if each not in b.groups)]
+    together = [first, *(each for each in b.joint_reductions(first) if each not in b.groups)]
     number = len(b.code.near)
     name = f"near.{b.species}.{b.compiler.name}.{number}"
     nodes = [each.what for each in together if isinstance(each.what, ir.Node)]
@@ -96,14 +96,14 @@ def _group_of(b: BlockWriter, first: Instruction) -> Group:
     e = b.e
     results = 2 * len(nodes)
     own, out = (e.allocate(count, text_type(I64, WIDTH)) for count in (operands, results))
-    group = Group(number, together, own, out, e.slot(I8), near)
+    group = ReductionGroup(number, together, own, out, e.slot(I8), near)
     b.at_top.append(lambda: e.put(group.answered_mask, e.constant(0, I8, 1)))
     for each in together:
         b.groups[each] = group
     return group
 
 
-def _call_search(b: BlockWriter, group: Group, asking: Lanes) -> None:
+def _call_search(b: BlockWriter, group: ReductionGroup, asking: Lanes) -> None:
     """Store the operands and call the search for some of eight agents. Its functions are written at the first call."""
     e, near = b.e, group.near
     fresh = not near.kinds
@@ -120,7 +120,7 @@ def _call_search(b: BlockWriter, group: Group, asking: Lanes) -> None:
     view: dict[ir.Node, int] = {}
     value_indices: dict[ir.Node, int] = {}
     for instructions in by_scope.values():
-        for chosen, slots in sets_of(instructions).items():
+        for chosen, slots in reduction_sets(instructions).items():
             if chosen not in reach:
                 reach[chosen] = put(b.slot(slots[0]))
                 if not chosen.attrs[1]:
@@ -133,44 +133,49 @@ def _call_search(b: BlockWriter, group: Group, asking: Lanes) -> None:
         plan = b.code.species
         stops = [chosen for chosen in near.reach if count_nearest(plan, chosen) is None]
         near.stops = {chosen: len(near.nodes) + k for k, chosen in enumerate(stops)}
-        read = needed(arg for node in near.nodes for arg in node.args[1:])
+        read = required_nodes(arg for node in near.nodes for arg in node.args[1:])
         names = sorted({each.attrs[0] for each in read if each.op == "other" and each.kind is ir.Kind.F32} - {*PLACE})
         near.beside = [" ".join(names[k : k + 4]) for k in range(0, len(names), 4)]
-        b.code.near.append(Near(near.other, list(near.reach), near.beside))
+        b.code.near.append(NeighbourSearch(near.other, list(near.reach), near.beside))
     for k, value in enumerate(values):
         e.put(e.field(group.own, STRIDE * k), e.widened(e.as_stored(value)))
     if fresh:
-        _write(b, near)
+        _write_functions(b, near)
     e.do("call", b.table, b.row, asking, group.own, group.out, x=f"@{near.name}")
 
 
 # --- eight agents in SIMD lanes --------------------------------------------------------------------------------------
 
 
-def _write(b: BlockWriter, near: Search) -> None:
+def _write_functions(b: BlockWriter, near: Search) -> None:
     """The function of a search for eight agents, and that for one with very many neighbours."""
-    w = Writer(b.module, b.layout)
+    w = FunctionWriter(b.module, b.layout)
     e = w.e
-    row, bits, own, out = e.named(I64, "%row"), e.named(I8, "%mask"), e.named(PTR, "%own"), e.named(PTR, "%out")
-    asks = e.of_bits(bits)
+    row, bits, own, out = (
+        e.named_number(I64, "%row"),
+        e.named_number(I8, "%mask"),
+        e.named_number(PTR, "%own"),
+        e.named_number(PTR, "%out"),
+    )
+    asks = e.from_bits(bits)
 
     def mine(k: int) -> Lanes:
-        return _of_area(e, own, k, near.kinds[k])
+        return _area_value(e, own, k, near.kinds[k])
 
     place = [e.read(w.base("start", f"position.{axis}"), row, F32) for axis in AXES]
     radius = {chosen: mine(k) for chosen, k in near.reach.items()}
-    search = Rows(w, near.number, place, list(radius.values()), asks)
-    search.note()
+    search = CellRows(w, near.number, place, list(radius.values()), asks)
+    search.note_radius()
     heading = [e.read(w.base("start", f"heading.{axis}"), row, F32) for axis in AXES] if near.view else []
     set_test = _SetTest(e, radius, {chosen: mine(k) for chosen, k in near.view.items()}, search, heading)
     itself = e.read(w.base("grid", near.number, "at"), row, I32) if near.other == b.species else None
-    buffer, number, over = _candidates(w, near, search, asks, set_test, itself)
-    sums = [Sum(e, node, many=False) for node in near.nodes]
+    buffer, number, over = _list_candidates(w, near, search, asks, set_test, itself)
+    sums = [RunningReduction(e, node, many=False) for node in near.nodes]
     for each in sums:
         each.start()
-    with e.loop(e.convert(e.greatest(number), I64)) as k:
+    with e.loop(e.convert(e.lane_maximum(number), I64)) as k:
         is_listed = e.convert(k, I32) < number
-        pair = measured(w, near, _across(e, buffer, k), place, is_listed)
+        pair = measure_pairs(w, near, _read_lists(e, buffer, k), place, is_listed)
 
         def inside(chosen: ir.Node) -> Lanes:
             reached = pair.is_present & (pair.distance <= radius[chosen])
@@ -183,7 +188,7 @@ def _write(b: BlockWriter, near: Search) -> None:
         pairs = PairValues(w, lambda node: mine(near.operand_slots[node]), pair.leaf, b.senses)
         for each, node in zip(sums, near.nodes, strict=True):
             reached = e.get_or_make(("near", node.args[0]), lambda chosen=node.args[0]: inside(chosen))  # type: ignore[misc]
-            take(each, node, pairs, reached, pair.ids)
+            accumulate(each, node, pairs, reached, pair.ids)
     fits = asks & ~over
     for result, each in enumerate(sums):
         stored = e.as_stored(each.result())
@@ -194,14 +199,14 @@ def _write(b: BlockWriter, near: Search) -> None:
         e.put(start, e.where(fits, e.constant(0, I8), e.load(start, I8, WIDTH)))
     with e.inside(e.any_lane(over)):
         e.do("call", w.table, row, e.mask_word(over), own, out, x=f"@{near.name}.many")
-    write_many(b, near)
+    write_dense_search(b, near)
     e.end(near.name, (w.table, row, bits, own, out))
 
 
-def _across(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
+def _read_lists(e: LaneBuilder, buffer: Lanes, k: Lanes) -> Lanes:
     """Return the element at one index of each of the eight agents' lists."""
     first = e.address(buffer, k, I32)
-    return e.together(e.load(e.field(first, 4 * _LIST * lane), I32) for lane in range(WIDTH))
+    return e.combine_lanes(e.load(e.field(first, 4 * _LIST * lane), I32) for lane in range(WIDTH))
 
 
 class _SetTest:
@@ -209,7 +214,12 @@ class _SetTest:
     far away or out of view. It stores the limits of eight requesting agents, to be read one agent at a time."""
 
     def __init__(
-        self, e: LaneBuilder, radius: Mapping[ir.Node, Lanes], view: Mapping[ir.Node, Lanes], search: Rows, heading: list[Lanes]
+        self,
+        e: LaneBuilder,
+        radius: Mapping[ir.Node, Lanes],
+        view: Mapping[ir.Node, Lanes],
+        search: CellRows,
+        heading: list[Lanes],
     ) -> None:
         self.e, self._stack = e, search.stack
         self._heading = [self._store(each) for each in heading]
@@ -258,8 +268,8 @@ class _SetTest:
         return test
 
 
-def _candidates(
-    w: Writer, near: Search, search: Rows, asks: Lanes, set_test: _SetTest, itself: Lanes | None
+def _list_candidates(
+    w: FunctionWriter, near: Search, search: CellRows, asks: Lanes, set_test: _SetTest, itself: Lanes | None
 ) -> tuple[Lanes, Lanes, Lanes]:
     """List the possible members of a set for each of eight agents. Returns the list positions, the list lengths, and the agents
     with too many candidates, which have their lists skipped."""
@@ -292,21 +302,21 @@ def _candidates(
                 at = start + k
                 for each in fours:  # for when the list is gone through: eight of them lie in three lines of memory at most
                     for offset in (0, _LINE, WIDTH * 16 - 4):
-                        e.fetch(e.field(four_at(e, each, at), offset))
+                        e.prefetch(e.field(quadruple_address(e, each, at), offset))
                 now = e.load(numbers, I32, WIDTH)
                 e.put(numbers, now + WIDTH)
                 inside = test([e.read(column, at, F32) for column in columns]) & (now < last)
                 if mine is not None:
                     inside = inside & (now != mine)
-                write_down(e, own, total, now, inside)
+                append_numbers(e, own, total, now, inside)
         e.put(so_far, e.convert(e.load(total, I64), I32))
 
-    every = search.many()
+    every = search.row_count()
     with e.loop(every, _ROWS) as first:
         rows = e.op("smin", I64, every - first, e.constant(_ROWS, I64, 1))
         e.put(number, e.constant(0, I32))
         with e.loop(rows) as row:
-            begin, count = search.following()
+            begin, count = search.next_row()
             sums = e.load(candidate_count, I32, WIDTH) + count
             e.put(candidate_count, sums)
             count = e.where(sums <= MOST, count, e.constant(0, I32))
@@ -320,7 +330,7 @@ def _candidates(
     over = asks & (e.load(candidate_count, I32, WIDTH) > MOST)
     counted = e.where(asks & ~over, counted, e.constant(0, I32))
     e.put(number, counted)
-    most, zero = e.greatest(counted), e.constant(0, I32)
+    most, zero = e.lane_maximum(counted), e.constant(0, I32)
     with e.loop(WIDTH) as lane:  # all lists go on to the end of the longest one
         many = e.read_one(number, lane, I32)
         own = e.address(buffer, lane * _LIST, I32)

@@ -13,8 +13,8 @@ from antdsl.machine_code.lanes import LaneBuilder, Lanes
 from antdsl.numerics import randomness
 from antdsl.numerics.randomness import UNIT
 from antdsl.plan import ir
-from antdsl.runtime.backends.native.block import Lower, Writer
-from antdsl.runtime.backends.native.fours import quadruples
+from antdsl.runtime.backends.native.block import FunctionWriter, Lower
+from antdsl.runtime.backends.native.fours import load_quadruples
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.backends.native.scents import own_cell
 from antdsl.runtime.moving.obstacle_clearance import may_touch
@@ -46,7 +46,7 @@ def _age_of(w: Any, born: Lanes) -> Lanes:
     return age
 
 
-def _words(w: Any, site: str, block: int) -> list[Lanes]:
+def _random_words(w: Any, site: str, block: int) -> list[Lanes]:
     """The four random words of a site for each id."""
 
     def make() -> list[Lanes]:
@@ -63,14 +63,14 @@ def _words(w: Any, site: str, block: int) -> list[Lanes]:
     return words
 
 
-def _philox(w: Writer) -> str:
+def _philox(w: FunctionWriter) -> str:
     name = "philox"
     if name not in w.module.functions:
         e = LaneBuilder(w.module)
-        ids, out = e.named(I64, "%ids", WIDTH), e.named(PTR, "%out")
-        shared = [e.named(I64, f"%{each}") for each in ("first", "low", "last", "k0", "k1")]
+        ids, out = e.named_number(I64, "%ids", WIDTH), e.named_number(PTR, "%out")
+        shared = [e.named_number(I64, f"%{each}") for each in ("first", "low", "last", "k0", "k1")]
         first, low, last, k0, k1 = map(e.widened, shared)
-        words: Any = randomness.of_ids(ids, first, low, last, (k0, k1))
+        words: Any = randomness.words_of_ids(ids, first, low, last, (k0, k1))
         for k, word in enumerate(words):
             e.put(e.address(out, k, text_type(I64, WIDTH)), word)
         e.end(name, (ids, *shared, out), attribute="noinline")
@@ -79,14 +79,14 @@ def _philox(w: Writer) -> str:
 
 def _draw(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     site, index = node.attrs
-    word = _words(w, site, index >> 2)[index & 3]
+    word = _random_words(w, site, index >> 2)[index & 3]
     small: Lanes = w.e.convert(w.e.convert(word >> 8, I32), F32)  # 24 bits: as whole numbers of 32 bits they convert faster
     return small * UNIT
 
 
 def _draw_agent(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     site, species = node.attrs
-    word = _words(w, site, 0)[0]
+    word = _random_words(w, site, 0)[0]
     count = w.number(I64, "agents", species)
     at = (word * count) >> 32
     agent_id = w.e.gather(w.base("other", species, "sorted ids"), at, I64)
@@ -104,7 +104,7 @@ def _touching(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     return is_touching
 
 
-def _row_of(w: Any, species: str, ids: Lanes) -> Lanes:
+def _rows_of_ids(w: Any, species: str, ids: Lanes) -> Lanes:
     """Rows of ids; -1 for none and for the dead: by bisection of the sorted ones, all lanes at once."""
     e: LaneBuilder = w.e
 
@@ -131,7 +131,7 @@ def _row_of(w: Any, species: str, ids: Lanes) -> Lanes:
 
 def _agent_get(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     species, register = node.attrs
-    row = _row_of(w, species, args[0])
+    row = _rows_of_ids(w, species, args[0])
     kind, is_alive = KINDS[node.kind], row >= 0
     value = w.e.gather(w.base("other", species, register), w.e.where(is_alive, row, w.e.constant(0, I64)), kind)
     result: Lanes = w.e.where(is_alive, value, w.e.constant(0, kind))
@@ -139,7 +139,7 @@ def _agent_get(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 
 
 def _agent_age(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
-    row = _row_of(w, node.attrs[0], args[0])
+    row = _rows_of_ids(w, node.attrs[0], args[0])
     is_alive = row >= 0
     born = w.e.gather(w.base("other", node.attrs[0], "frame of birth"), w.e.where(is_alive, row, w.e.constant(0, I64)), I64)
     age: Lanes = w.e.where(is_alive, _age_of(w, born), w.e.constant(0.0, F32))
@@ -147,24 +147,24 @@ def _agent_age(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
 
 
 def _agent_alive(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
-    return _row_of(w, node.attrs[0], args[0]) >= 0
+    return _rows_of_ids(w, node.attrs[0], args[0]) >= 0
 
 
-def _item_there(w: Any, items: str, item: Lanes) -> Lanes:
+def _is_item_present(w: Any, items: str, item: Lanes) -> Lanes:
     has_item: Lanes = (item >= 0) & (item < w.number(I32, "items", items))
     return has_item
 
 
 def _item_get(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
     items, attribute = node.attrs
-    has_item = _item_there(w, items, args[0])
+    has_item = _is_item_present(w, items, args[0])
     value = w.e.gather(w.base("item", items, attribute), w.e.where(has_item, args[0], w.e.constant(0, I32)), F32)
     result: Lanes = w.e.where(has_item, value, w.e.constant(0.0, F32))
     return result
 
 
 def _item_alive(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
-    return _item_there(w, node.attrs[0], args[0])
+    return _is_item_present(w, node.attrs[0], args[0])
 
 
 def _field_value(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Lanes:
@@ -180,41 +180,41 @@ def _cells_ahead(w: Any, field: str, eights: int) -> Lanes:
     return e.read(w.base("cell", field), e.where(later < w.end, later, w.row), I32)
 
 
-def _fetch(e: LaneBuilder, array: Lanes, at: Lanes, size: int) -> None:
+def _prefetch(e: LaneBuilder, array: Lanes, at: Lanes, size: int) -> None:
     """Prefetch `size` bytes of an array from an index on; any index is safe."""
-    e.fetch(e.address(array, e.convert(at, I64) * size, I8))
+    e.prefetch(e.address(array, e.convert(at, I64) * size, I8))
 
 
-def fetch_ahead(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
+def prefetch_cells(w: Any, field: str, array: Lanes, size: int, eights: int = 1) -> None:
     """Prefetch the array elements (`size` bytes) for the cells of agents that come `eights` iterations later."""
     e: LaneBuilder = w.e
     cells = _cells_ahead(w, field, eights)
     for lane in range(WIDTH):
-        _fetch(e, array, e.one(cells, lane), size)
+        _prefetch(e, array, e.one(cells, lane), size)
 
 
-def _fetch_around(w: Any, field: str, held: Lanes, positions: Lanes, block: Lanes, count: int) -> None:
+def _prefetch_neighbour_cells(w: Any, field: str, held: Lanes, positions: Lanes, block: Lanes, count: int) -> None:
     """Prefetch the contents of the cells around the next eight agents, and the cell lists of the eight after them."""
     e: LaneBuilder = w.e
-    fetch_ahead(w, field, block, 4 * count, 2)
+    prefetch_cells(w, field, block, 4 * count, 2)
     cells = _cells_ahead(w, field, 1)
     known = e.where((cells >= 0) & (cells < w.number(I32, "cells", field)), cells, e.constant(0, I32))
     for lane in range(WIDTH):
         around = e.address(block, e.convert(e.one(known, lane), I64) * count, I32)
         for k in range(0, count, _CELL_STRIDE):
             cell = e.read_one(around, k, I32)
-            _fetch(e, held, cell, 8)
-            _fetch(e, positions, cell, 16)
+            _prefetch(e, held, cell, 8)
+            _prefetch(e, positions, cell, 16)
 
 
-def _first_most(e: LaneBuilder, held: Lanes, cells: Lanes, count: int, own: Lanes) -> tuple[Lanes, Lanes]:
+def _first_strongest(e: LaneBuilder, held: Lanes, cells: Lanes, count: int, own: Lanes) -> tuple[Lanes, Lanes]:
     """Return the greatest of the amounts in `count` cells of a list, and the first cell that has it; 0 and the own cell if none
     is above 0. NaN counts as 0."""
     none = e.constant(0.0, F64)
     eights = []
     for first in range(0, count, WIDTH):
         indices = range(first, min(first + WIDTH, count))
-        amounts = e.together((e.read_one(held, e.convert(e.read_one(cells, k, I32), I64), F64) for k in indices), onto=none)
+        amounts = e.combine_lanes((e.read_one(held, e.convert(e.read_one(cells, k, I32), I64), F64) for k in indices), onto=none)
         eights.append(e.where(amounts > none, amounts, none))
     most = eights[0]
     for each in eights[1:]:
@@ -242,17 +242,17 @@ def _field_strongest(w: Any, node: ir.Node, args: tuple[Any, ...]) -> Any:
     e.put(home_cells, e.where(has_cell, own, e.constant(0, I32)))
     asks = e.mask_word(w.mask[-1] & has_cell)
     with e.inside(asks != 0):
-        _fetch_around(w, field, held, positions, block, int(count))
+        _prefetch_neighbour_cells(w, field, held, positions, block, int(count))
     with e.loop(WIDTH) as lane, e.inside(e.has_bit(asks, lane)):  # cells of one agent are adjacent in memory
         mine = e.read_one(home_cells, lane, I32)
-        best, at = _first_most(e, held, e.address(block, e.convert(mine, I64) * int(count), I32), int(count), mine)
+        best, at = _first_strongest(e, held, e.address(block, e.convert(mine, I64) * int(count), I32), int(count), mine)
         e.put(e.address(most, lane, F64), best)
         e.put(e.address(where, lane, I32), at)
     value, cell = e.load(most, F64, WIDTH), e.load(where, I32, WIDTH)
     small = e.convert(value, F32)
     nothing = ~(small > 0)
     parts = [small]
-    for axis, has_cell in zip(AXES, quadruples(e, positions, cell), strict=False):
+    for axis, has_cell in zip(AXES, load_quadruples(e, positions, cell), strict=False):
         mine = e.read(w.base("start", f"position.{axis}"), w.row, F32)
         parts.append(e.where(nothing, mine, has_cell))
     return tuple(parts)

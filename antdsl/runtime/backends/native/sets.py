@@ -12,20 +12,20 @@ from antdsl.machine_code.kinds import F32, I32, I64
 from antdsl.machine_code.lanes import Lanes
 from antdsl.numerics.elementwise import ELEMENTWISE
 from antdsl.plan import ir
-from antdsl.plan.traverse import needed
-from antdsl.runtime.backends.compile import Does, Instruction
-from antdsl.runtime.backends.native.block import BlockWriter, Writer
+from antdsl.plan.traverse import required_nodes
+from antdsl.runtime.backends.compile import Instruction, InstructionKind
+from antdsl.runtime.backends.native.block import BlockWriter, FunctionWriter
 from antdsl.runtime.backends.native.layout import KINDS
 from antdsl.runtime.backends.native.schedule import PAIRED
-from antdsl.runtime.backends.native.sums import START, Sum
+from antdsl.runtime.backends.native.sums import START, RunningReduction
 from antdsl.runtime.world import AXES
 
 
-def lowers(node: ir.Node, leaves: frozenset[str]) -> bool:
+def has_machine_code(node: ir.Node, leaves: frozenset[str]) -> bool:
     """Return whether a reduction has machine code: everything that depends on the other element is an operation or a leaf with
     machine code."""
     known = {"pair.x", "pair.y", "pair.z", "pair.distance", "other", "other.id", "other.row"} | leaves
-    pairs = [each for each in needed(node.args[1:]) if each.rate is ir.Rate.PAIR]
+    pairs = [each for each in required_nodes(node.args[1:]) if each.rate is ir.Rate.PAIR]
     return node.op in START and all(each.op in ELEMENTWISE or each.op in known for each in pairs)
 
 
@@ -35,7 +35,7 @@ def lowers(node: ir.Node, leaves: frozenset[str]) -> bool:
 class PairValues:
     """Values over pairs by node. `own` returns a value of the requesting agent, `leaf` a value of the pair."""
 
-    def __init__(self, w: Writer, own: Callable[[ir.Node], Lanes], leaf: Callable[[ir.Node], Lanes], senses: Any) -> None:
+    def __init__(self, w: FunctionWriter, own: Callable[[ir.Node], Lanes], leaf: Callable[[ir.Node], Lanes], senses: Any) -> None:
         self.w, self.own, self.leaf, self.senses = w, own, leaf, senses
 
     def value(self, node: ir.Node) -> Lanes:
@@ -59,11 +59,11 @@ class PairValues:
 # --- one by one ------------------------------------------------------------------------------------------------------
 
 
-def one_by_one(b: BlockWriter, first: Instruction) -> None:
+def emit_member_loop(b: BlockWriter, first: Instruction) -> None:
     """For eight asking agents, all members in turn."""
-    e, instructions = b.e, [first, *b.waiting(first)]
+    e, instructions = b.e, [first, *b.joint_reductions(first)]
     nodes = [each.what for each in instructions if isinstance(each.what, ir.Node)]
-    sets = sets_of(instructions)
+    sets = reduction_sets(instructions)
     own = own_values(b, instructions)
     of_items = nodes[0].args[0].op == "set.items"
     name = nodes[0].args[0].attrs[0]
@@ -73,7 +73,7 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
         make()  # here, not within the loop
     mask = b.mask[-1]
     itself = None if of_items or name != b.species else e.read(b.base("ids"), b.row, I64)
-    sums = [Sum(e, node, many=True) for node in nodes]
+    sums = [RunningReduction(e, node, many=True) for node in nodes]
     for each in sums:
         each.start()
     count = b.number(I64, "items" if of_items else "agents", name, one=True)
@@ -103,12 +103,12 @@ def one_by_one(b: BlockWriter, first: Instruction) -> None:
                 near = near & (distance <= reach[node.args[0]])
             elif itself is not None:
                 near = near & (read("unsorted ids", I64) != itself)
-            take(each, node, pairs, near, (lambda: e.widened(number)) if of_items else (lambda: read("unsorted ids", I64)))
+            accumulate(each, node, pairs, near, (lambda: e.widened(number)) if of_items else (lambda: read("unsorted ids", I64)))
     for each, instruction in zip(sums, instructions, strict=True):
         b.known(instruction.out, each.result())
 
 
-def tested(node: ir.Node, pairs: PairValues, near: Lanes) -> tuple[Lanes, Lanes | None]:
+def test_pairs(node: ir.Node, pairs: PairValues, near: Lanes) -> tuple[Lanes, Lanes | None]:
     """Which pairs count in a reduction, and its body."""
     condition = node.args[1]
     if condition.op != "const.bool" or not condition.attrs[0]:
@@ -116,14 +116,14 @@ def tested(node: ir.Node, pairs: PairValues, near: Lanes) -> tuple[Lanes, Lanes 
     return near, pairs.value(node.args[2]) if len(node.args) > 2 else None
 
 
-def take(each: Sum, node: ir.Node, pairs: PairValues, near: Lanes, label: Callable[[], Lanes]) -> None:
+def accumulate(each: RunningReduction, node: ir.Node, pairs: PairValues, near: Lanes, label: Callable[[], Lanes]) -> None:
     """Add the pairs that count to a reduction."""
-    each.take(*tested(node, pairs, near), label() if node.op in ("reduce.agent", "reduce.item") else None)
+    each.add_term(*test_pairs(node, pairs, near), label() if node.op in ("reduce.agent", "reduce.item") else None)
 
 
-def sets_of(instructions: list[Instruction]) -> dict[ir.Node, tuple[int, ...]]:
+def reduction_sets(instructions: list[Instruction]) -> dict[ir.Node, tuple[int, ...]]:
     """The sets of some reductions, with the slots of their operands."""
-    known = {each.what: each.inputs for each in instructions[0].scope.code if each.does is Does.PAIRS}
+    known = {each.what: each.inputs for each in instructions[0].scope.code if each.does is InstructionKind.PAIRS}
     slots_by_set: dict[ir.Node, tuple[int, ...]] = {}
     for each in instructions:
         assert isinstance(each.what, ir.Node)
@@ -144,8 +144,8 @@ def own_values(b: BlockWriter, instructions: list[Instruction]) -> dict[ir.Node,
             if producer is None or slot in visited:
                 continue
             visited.add(slot)
-            if producer.does is Does.SPREAD and isinstance(producer.what, ir.Node):
+            if producer.does is InstructionKind.SPREAD and isinstance(producer.what, ir.Node):
                 value_makers[producer.what] = lambda source=producer.inputs[0]: b.slot(source)  # type: ignore[misc]
-            elif producer.does is not Does.PAIRS:
+            elif producer.does is not InstructionKind.PAIRS:
                 pending += producer.inputs
     return value_makers

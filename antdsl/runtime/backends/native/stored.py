@@ -23,8 +23,8 @@ from antdsl.machine_code.machine import Target
 from antdsl.plan import ir
 from antdsl.runtime.backends.compile import Instruction
 from antdsl.runtime.backends.metering import instructions_of
-from antdsl.runtime.backends.native.block import BlockCode, Near
-from antdsl.runtime.backends.native.programs import Blocks, Facts, Program, begin_blocks
+from antdsl.runtime.backends.native.block import BlockCode, NeighbourSearch
+from antdsl.runtime.backends.native.programs import Blocks, Program, WorldFacts, begin_blocks
 from antdsl.source import Span
 
 _Place = tuple[str, str]
@@ -41,13 +41,13 @@ class Subject:
 
     plan: ir.Plan
     blocks: Blocks
-    facts: Facts
+    facts: WorldFacts
     key: str
     nodes: Mapping[ir.Node, int]
     instructions: Mapping[_Place, list[Instruction]]
 
 
-def subject(plan: ir.Plan, blocks: Blocks, facts: Facts, target: Target) -> Subject | None:
+def subject(plan: ir.Plan, blocks: Blocks, facts: WorldFacts, target: Target) -> Subject | None:
     """What finds and reads a file about a plan; None where nothing can be stored of it."""
     written = _Written()
     instructions = {place: instructions_of(compiler.root) for place, compiler in blocks.items()}
@@ -114,7 +114,9 @@ def _fill(code: BlockCode, form: Mapping[str, Any], nodes: list[ir.Node], instru
     code.layout.numbers = {_key_of(key, nodes): place for place, key in enumerate(form["numbers"])}
     code.layout.arrays = {(slot, part): kind for slot, part, kind in form["arrays"]}
     code.faults[:] = [(what, instructions[number]) for what, number in form["faults"]]
-    code.near[:] = [Near(species, [nodes[number] for number in sets], beside) for species, sets, beside in form["near"]]
+    code.near[:] = [
+        NeighbourSearch(species, [nodes[number] for number in sets], beside) for species, sets, beside in form["near"]
+    ]
     code.lazy_nodes[:] = [nodes[number] for number in form["kept"]]
     code.lists[:] = [instructions[number] for number in form["lists"]]
     code.needs[:] = [instructions[number] for number in form["needs"]]

@@ -19,7 +19,7 @@ NO_LABEL = (1 << 63) - 1
 
 
 @dataclass(slots=True, eq=False)
-class Sum:
+class RunningReduction:
     """Running values of one reduction, on the stack: of eight agents, or of one agent in eight parts."""
 
     e: LaneBuilder
@@ -31,58 +31,58 @@ class Sum:
         for k, row in enumerate(START[self.node.op]):
             if k == 0 or self.many or self.node.op != "reduce.sum":
                 self._parts.append((self.e.slot(row[0], WIDTH), row[0]))
-                self._put(k, self.e.constant(row[1], row[0]))
+                self._write_part(k, self.e.constant(row[1], row[0]))
 
-    def take(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
+    def add_term(self, mask: Lanes, body: Lanes | None, label: Lanes | None) -> None:
         """Take in a term of each lane for which a condition holds."""
         e = self.e
         match self.node.op:
             case "reduce.sum":
                 assert body is not None
-                term = self._rounded(e.where(mask, body, e.constant(0.0, F32)))
+                term = self._round_term(e.where(mask, body, e.constant(0.0, F32)))
                 if self.many:
                     quantum = int(self.node.attrs[0])
                     magic = float(np.ldexp(1.5, quantum + exact_sums.HALF + 52))
                     high = (term + magic) - magic
-                    self._put(0, self._at(0) + high)
-                    self._put(1, self._at(1) + (term - high))
+                    self._write_part(0, self._read_part(0) + high)
+                    self._write_part(1, self._read_part(1) + (term - high))
                 else:
-                    self._put(0, self._at(0) + term)
+                    self._write_part(0, self._read_part(0) + term)
             case "reduce.count":
-                self._put(0, self._at(0) + e.convert(mask, I32))
+                self._write_part(0, self._read_part(0) + e.convert(mask, I32))
             case "reduce.any":
-                self._put(0, self._at(0) | e.convert(mask, I32))
+                self._write_part(0, self._read_part(0) | e.convert(mask, I32))
             case "reduce.min":
                 assert body is not None
-                least = self._at(0)
-                self._put(0, e.where(mask & (body < least), body, least))
+                least = self._read_part(0)
+                self._write_part(0, e.where(mask & (body < least), body, least))
             case "reduce.max":
                 assert body is not None
-                most = self._at(0)
-                self._put(0, e.where(mask & (body > most), body, most))
+                most = self._read_part(0)
+                self._write_part(0, e.where(mask & (body > most), body, most))
             case _:
                 assert body is not None and label is not None
-                least, best_label = self._at(0), self._at(1)
+                least, best_label = self._read_part(0), self._read_part(1)
                 better = mask & ((body < least) | ((body == least) & (label < best_label)))
-                self._put(0, e.where(better, body, least))
-                self._put(1, e.where(better, label, best_label))
+                self._write_part(0, e.where(better, body, least))
+                self._write_part(1, e.where(better, label, best_label))
 
-    def _at(self, part: int) -> Lanes:
+    def _read_part(self, part: int) -> Lanes:
         place, kind = self._parts[part]
         return self.e.load(place, kind, WIDTH)
 
-    def _put(self, part: int, value: Lanes) -> None:
+    def _write_part(self, part: int, value: Lanes) -> None:
         self.e.put(self._parts[part][0], value)
 
-    def _rounded(self, body: Lanes) -> Lanes:
+    def _round_term(self, body: Lanes) -> Lanes:
         """Return a term rounded to a multiple of the quantum, as `exact_sums.rounded` does."""
         quantum = int(self.node.attrs[0])
         bound, magic = float(np.ldexp(1.0, quantum + exact_sums.BOUND)), float(np.ldexp(1.5, quantum + 52))
         if float(np.float32(bound)) == bound:  # cut before it is widened, which is the same
-            body, bound = self.e.meaning(np.clip, body, -np.float32(bound), np.float32(bound)), np.inf
+            body, bound = self.e.apply_function(np.clip, body, -np.float32(bound), np.float32(bound)), np.inf
         wide = self.e.convert(body, F64)
         if bound < np.inf:
-            wide = self.e.meaning(np.clip, wide, -bound, bound)
+            wide = self.e.apply_function(np.clip, wide, -bound, bound)
         rounded: Lanes = (wide + magic) - magic
         return rounded
 
@@ -91,44 +91,44 @@ class Sum:
         e = self.e
         match self.node.op:
             case "reduce.sum":
-                total = self._at(0)
+                total = self._read_part(0)
                 if self.many:
-                    total = total + self._at(1)
+                    total = total + self._read_part(1)
                 return e.convert(total, F32)
             case "reduce.count":
-                return e.convert(self._at(0), F32)
+                return e.convert(self._read_part(0), F32)
             case "reduce.any":
-                return self._at(0) != 0
+                return self._read_part(0) != 0
             case "reduce.min" | "reduce.max":
-                return self._at(0) + np.float32(0)
-        label = self._at(1)
+                return self._read_part(0) + np.float32(0)
+        label = self._read_part(1)
         label = e.where(label == NO_LABEL, e.constant(-1, I64), label)
         return label if self.node.op == "reduce.agent" else e.convert(label, I32)
 
-    def fold(self) -> None:
+    def combine_lanes(self) -> None:
         """Combine the eight parts and store the result in each."""
         for half in (4, 2, 1):
-            self._fold([self.e.turned(self._at(k), half) for k in range(len(self._parts))])
+            self._combine([self.e.turned(self._read_part(k), half) for k in range(len(self._parts))])
 
-    def _fold(self, other: list[Lanes]) -> None:
+    def _combine(self, other: list[Lanes]) -> None:
         e, a = self.e, other[0]
         match self.node.op:
             case "reduce.sum" | "reduce.count":
                 for k, value in enumerate(other):
-                    self._put(k, self._at(k) + value)
+                    self._write_part(k, self._read_part(k) + value)
             case "reduce.any":
-                self._put(0, self._at(0) | a)
+                self._write_part(0, self._read_part(0) | a)
             case "reduce.min":
-                mine = self._at(0)
-                self._put(0, e.where(a < mine, a, mine))
+                mine = self._read_part(0)
+                self._write_part(0, e.where(a < mine, a, mine))
             case "reduce.max":
-                mine = self._at(0)
-                self._put(0, e.where(a > mine, a, mine))
+                mine = self._read_part(0)
+                self._write_part(0, e.where(a > mine, a, mine))
             case _:
-                mine, best_label, label = self._at(0), self._at(1), other[1]
+                mine, best_label, label = self._read_part(0), self._read_part(1), other[1]
                 better = (a < mine) | ((a == mine) & (label < best_label))
-                self._put(0, e.where(better, a, mine))
-                self._put(1, e.where(better, label, best_label))
+                self._write_part(0, e.where(better, a, mine))
+                self._write_part(1, e.where(better, label, best_label))
 
 
 START: dict[str, tuple[tuple[str, Any], ...]] = {

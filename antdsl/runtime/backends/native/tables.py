@@ -16,16 +16,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.fields.pheromone import PheromoneField
-from antdsl.fields.reached import Reached
+from antdsl.fields.reached import StrongCells
 from antdsl.machine_code.memory import address
 from antdsl.numerics import randomness
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockCode
-from antdsl.runtime.backends.native.lane import Lane, Lanes
+from antdsl.runtime.backends.native.lane import LaneMemories, LaneMemory
 from antdsl.runtime.backends.native.layout import Key
-from antdsl.runtime.backends.native.rooms import Copy, Rooms
+from antdsl.runtime.backends.native.rooms import PaddedArrays, PaddedCopy
 from antdsl.runtime.clip_values import clip_table
-from antdsl.runtime.moving.obstacle_clearance import clearance
+from antdsl.runtime.moving.obstacle_clearance import cached_clearance
 from antdsl.runtime.world import Population, World
 
 Find = Callable[[World, Population], int]
@@ -34,7 +34,7 @@ Names = list[tuple[str, int]]  # with the places of their addresses
 Words = NDArray[np.int64]
 
 
-class Held:
+class HeldArrays:
     """Arrays of one object of the world, which `of` finds. `get` returns them, or another object that changes when they do. If
     its result differs from `seen`, `put` writes the addresses of all; it may replace arrays by padded ones."""
 
@@ -47,15 +47,15 @@ class Held:
         self.seen: Iterable[Any] = repeat(None)
 
 
-class Tables:
+class AddressTables:
     """The inputs of one block of one species: addresses and numbers that all threads read, and `lanes` for its parts."""
 
-    def __init__(self, code: BlockCode, rooms: Rooms) -> None:
+    def __init__(self, code: BlockCode, rooms: PaddedArrays) -> None:
         self.code, self._rooms = code, rooms
         self.numbers = np.zeros(max(len(code.layout.numbers), 1), np.int64)
         self.pointers = np.zeros(len(code.layout.pointers), np.int64)
         self.pointers[0] = address(self.numbers)
-        self.lanes = Lanes(code)
+        self.lanes = LaneMemories(code)
         self.version = 0  # of the pointers
         self._views = {np.dtype(kind): self.numbers.view(kind) for kind in (np.int64, np.float64, np.float32, np.int32, np.bool_)}
         nodes: list[tuple[ir.Node, int]] = []
@@ -83,12 +83,12 @@ class Tables:
         groups: dict[Key, list[tuple[Key, int]]] = {}
         self._found: list[tuple[Find, int]] = []
         for key, place in pointers:
-            holder = self._holder(key)
+            holder = self._holder_key(key)
             if holder is not None:
                 groups.setdefault(holder, []).append((key, place))
             elif key[0] in _FINDERS:
                 self._found.append((_FINDERS[str(key[0])](self, key), place))
-        self._held = [self._group(holder, keys) for holder, keys in groups.items()]
+        self._held = [self._held_arrays(holder, keys) for holder, keys in groups.items()]
         self._at = [0] * len(self._found)
 
     def fill(
@@ -96,7 +96,7 @@ class Tables:
     ) -> None:
         """Fill everything except what belongs to a single lane. `values`: those of the step, including those of the run, which
         stay valid while `lasting` is the same object. `grids`: a cell grid for each search."""
-        self._numbers(world, values, lasting)
+        self._update_numbers(world, values, lasting)
         words, changed = self.pointers, False
         for held in self._held:
             holder = held.of(world, population)
@@ -121,23 +121,23 @@ class Tables:
                 changed = True
         self.version += changed
 
-    def others(self, world: World) -> int:
+    def largest_species(self, world: World) -> int:
         """Return the number of agents of the largest species, if the block searches others; else 0."""
         return max([len(other) for other in world.populations.values()]) if self.code.near else 0
 
-    def ready(self, parts: int, rows: int, others: int) -> list[Lane]:
+    def prepare_lanes(self, parts: int, rows: int, others: int) -> list[LaneMemory]:
         """Return lanes for `parts` parts of `rows` rows each and `others` agents of a species, ready to run with the filled
         tables."""
-        return self.lanes.ready(parts, rows, others, self.pointers)
+        return self.lanes.prepare(parts, rows, others, self.pointers)
 
-    def _numbers(self, world: World, values: Mapping[ir.Node, Any], lasting: Any) -> None:
+    def _update_numbers(self, world: World, values: Mapping[ir.Node, Any], lasting: Any) -> None:
         """Write the numbers of the step. Lasting and unchanged ones are not written again."""
         if lasting is not self._filled:
             self._filled = lasting
             for node, place in self._lasting:
-                self._number(place, values[node])
+                self._write_number(place, values[node])
         for node, place in self._stepping:
-            self._number(place, values[node])
+            self._write_number(place, values[node])
         if self._draws:
             first, seed = randomness.frame_word(world.frame), world.setting.seed
             for of, words in self._draws.items():
@@ -151,15 +151,17 @@ class Tables:
             current_value = of_world(world, name)
             if current_value != self._told[number]:
                 self._told[number] = current_value
-                self._number(place, np.float64(current_value) if isinstance(current_value, float) else np.int64(current_value))
+                self._write_number(
+                    place, np.float64(current_value) if isinstance(current_value, float) else np.int64(current_value)
+                )
 
-    def _number(self, place: int, value: Any) -> None:
+    def _write_number(self, place: int, value: Any) -> None:
         view = self._views[value.dtype]
         view[place * (8 // value.dtype.itemsize)] = value
 
     # --- arrays that the world has by name: keys of one holder, and what looks at it ------------------------------------------
 
-    def _holder(self, key: Key) -> Key | None:
+    def _holder_key(self, key: Key) -> Key | None:
         """Return the key of the object that holds an array by name, or None."""
         match key[0]:
             case "start" | "now" | "cell":
@@ -172,45 +174,45 @@ class Tables:
                 return ("other" if key[2] in _ATTRIBUTES else "start of", key[1])
         return None
 
-    def _group(self, holder: Key, keys: list[tuple[Key, int]]) -> Held:
+    def _held_arrays(self, holder: Key, keys: list[tuple[Key, int]]) -> HeldArrays:
         """What looks at all arrays of one holder."""
         of, names = str(holder[-1]), [(str(key[-1]), place) for key, place in keys]
         match holder[0]:
             case "start" | "now" as when:
-                return self._registers(names, start=when == "start")
+                return self._held_registers(names, start=when == "start")
             case "own":
-                return self._attributes(lambda world, population: population, names)
+                return self._held_attributes(lambda world, population: population, names)
             case "other":
                 names = [(_ATTRIBUTES[name], place) for name, place in names]
-                return self._attributes(lambda world, population: world.populations[of], names)
+                return self._held_attributes(lambda world, population: world.populations[of], names)
             case "start of":
-                return self._mapping(lambda world, population: world.populations[of].start, names)
+                return self._held_mapping(lambda world, population: world.populations[of].start, names)
             case "item":
-                return self._mapping(lambda world, population: world.items[of].visible_values, names)
+                return self._held_mapping(lambda world, population: world.items[of].visible_values, names)
             case "field":
-                return _field(of, [(key[2:], place) for key, place in keys])
-        return self._mapping(lambda world, population: population.cells, names)
+                return _held_field(of, [(key[2:], place) for key, place in keys])
+        return self._held_mapping(lambda world, population: population.cells, names)
 
-    def _registers(self, names: Names, *, start: bool) -> Held:
+    def _held_registers(self, names: Names, *, start: bool) -> HeldArrays:
         """Registers at the start of the step, or now."""
 
         def put(world: World, population: Population, holder: Any, words: Words) -> None:
             for name, place in names:
-                words[place] = self._rooms.moved(population, name, start=start)[1]
+                words[place] = self._rooms.move_register(population, name, start=start)[1]
 
         find: Holder = (lambda world, population: population.start) if start else (lambda world, population: population.now)
-        return Held(find, _several(itemgetter, names), put)
+        return HeldArrays(find, _make_getter(itemgetter, names), put)
 
-    def _mapping(self, of: Holder, names: Names) -> Held:
+    def _held_mapping(self, of: Holder, names: Names) -> HeldArrays:
         """What a mapping holds."""
 
         def put(world: World, population: Population, holder: Any, words: Words) -> None:
             for name, place in names:
                 holder[name], words[place] = self._rooms.place(holder[name])
 
-        return Held(of, _several(itemgetter, names), put)
+        return HeldArrays(of, _make_getter(itemgetter, names), put)
 
-    def _attributes(self, of: Holder, names: Names) -> Held:
+    def _held_attributes(self, of: Holder, names: Names) -> HeldArrays:
         """What is an attribute."""
 
         def put(world: World, population: Population, holder: Any, words: Words) -> None:
@@ -218,15 +220,15 @@ class Tables:
                 array, words[place] = self._rooms.place(getattr(holder, name))
                 setattr(holder, name, array)
 
-        return Held(of, _several(attrgetter, names), put)
+        return HeldArrays(of, _make_getter(attrgetter, names), put)
 
     # --- one kind of key each: gives what looks for its address in a step ---------------------------------------------------
 
-    def _mesh(self, key: Key) -> Find:
+    def _find_mesh(self, key: Key) -> Find:
         copy = self._copy(key)
         return lambda world, population: copy.of(population.footing.mesh, np.int64)
 
-    def _event(self, key: Key) -> Find:
+    def _find_event(self, key: Key) -> Find:
         """Return a function that finds the flags of agents that an event has reached, a new array in each step. A species that
         does not handle the event has none set."""
         name = str(key[1])
@@ -240,7 +242,7 @@ class Tables:
 
         return find
 
-    def _in_order(self, key: Key) -> Find:
+    def _find_sorted_ids(self, key: Key) -> Find:
         """Return a function that finds the sorted ids of another species, or their rows."""
         copy, species, which = self._rooms.copy(*key), str(key[1]), key[2] != "sorted ids"
 
@@ -250,41 +252,41 @@ class Tables:
 
         return find
 
-    def _clear(self, key: Key) -> Find:
+    def _find_clear(self, key: Key) -> Find:
         copy, name = self._copy(key), str(key[1])
-        return lambda world, population: copy.of(clearance(world, population, name), np.float32)
+        return lambda world, population: copy.of(cached_clearance(world, population, name), np.float32)
 
-    def _clip(self, key: Key) -> Find:
+    def _find_clip(self, key: Key) -> Find:
         copy, what = self._copy(key), str(key[1])
-        return lambda world, population: copy.lasting(world.setting, lambda: clip_table(world, population, what))
+        return lambda world, population: copy.lasting_address(world.setting, lambda: clip_table(world, population, what))
 
-    def _reached(self, key: Key) -> Find:
+    def _find_reached(self, key: Key) -> Find:
         """Return a function that finds the cells near which a field is at least a number."""
         _, name, count, bound = key
         numbers, place = self._views[np.dtype(np.float32)], 2 * self.code.layout.number("node", bound)
-        reached: Reached | None = None
+        reached: StrongCells | None = None
 
         def find(world: World, population: Population) -> int:
             nonlocal reached
             field, least = world.fields[str(name)], numbers[place]
             if reached is None or not reached.of(field, least):
-                reached = Reached(field, least, int(str(count)))
+                reached = StrongCells(field, least, int(str(count)))
             return address(reached.now(world.options.threads))
 
         return find
 
-    def _copy(self, key: Key) -> Copy:
+    def _copy(self, key: Key) -> PaddedCopy:
         """What stands for a key of this species."""
         return self._rooms.copy(self.code.species.name, *key)
 
 
-def _several(getter: Callable[..., Callable[[Any], Any]], names: Names) -> Callable[[Any], Iterable[NDArray[Any]]]:
+def _make_getter(getter: Callable[..., Callable[[Any], Any]], names: Names) -> Callable[[Any], Iterable[NDArray[Any]]]:
     """What gives the arrays of these names."""
     get_arrays = getter(*(name for name, _ in names))
     return get_arrays if len(names) > 1 else lambda holder: (get_arrays(holder),)
 
 
-def _field(of: str, names: list[tuple[Key, int]]) -> Held:
+def _held_field(of: str, names: list[tuple[Key, int]]) -> HeldArrays:
     """Return the entries of a field, of which the arrays change with its version. They are indexed by cell, so they need no
     padding."""
 
@@ -298,31 +300,31 @@ def _field(of: str, names: list[tuple[Key, int]]) -> Held:
             else:
                 words[place] = address(field.cells.nearest(int(str(arguments[0]))) if arguments else getattr(field, str(what)))
 
-    return Held(lambda world, population: world.fields[of], get, put)
+    return HeldArrays(lambda world, population: world.fields[of], get, put)
 
 
-def _half(count: int) -> int:
+def _power_of_2_below(count: int) -> int:
     """The greatest power of 2 below a count, 0 for 0 and 1."""
     return 1 << ((count - 1).bit_length() - 1) if count > 1 else 0
 
 
 _IN_ORDER = frozenset(("sorted ids", "rows of sorted ids"))
 _ATTRIBUTES = {"frame of birth": "born", "unsorted ids": "ids"}  # of another species
-_FINDERS: dict[str, Callable[[Tables, Key], Find]] = {
-    "mesh": Tables._mesh,
-    "event": Tables._event,
-    "other": Tables._in_order,
-    "clear": Tables._clear,
-    "clip": Tables._clip,
-    "reached": Tables._reached,
+_FINDERS: dict[str, Callable[[AddressTables, Key], Find]] = {
+    "mesh": AddressTables._find_mesh,
+    "event": AddressTables._find_event,
+    "other": AddressTables._find_sorted_ids,
+    "clear": AddressTables._find_clear,
+    "clip": AddressTables._find_clip,
+    "reached": AddressTables._find_reached,
 }
 _NUMBERS: dict[str, Callable[[World, str], int | float]] = {
     "frame": lambda world, name: world.frame,
     "dt": lambda world, name: float(world.dt),
     "items": lambda world, name: len(world.items[name]),
     "agents": lambda world, name: len(world.populations[name]),
-    "half": lambda world, name: _half(len(world.populations[name])),
-    "turns": lambda world, name: _half(len(world.populations[name])).bit_length(),
+    "half": lambda world, name: _power_of_2_below(len(world.populations[name])),
+    "turns": lambda world, name: _power_of_2_below(len(world.populations[name])).bit_length(),
     "cells": lambda world, name: len(world.fields[name].cells),
     "threads": lambda world, name: world.options.threads,
     "surface": lambda world, name: world.surface_index.get(name, -1),

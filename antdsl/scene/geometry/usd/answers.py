@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.reader.protocol import Message, ProtocolError
-from antdsl.scene.geometry.meshes import RawMesh, sound
+from antdsl.scene.geometry.meshes import RawMesh, check_mesh
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.geometry.usd.points import UsdPoints
 from antdsl.scene.geometry.usd.stage import UsdStage
@@ -55,17 +55,17 @@ def read_usd_mesh(stage: UsdStage, primvars: Iterable[str] = ()) -> UsdMesh:
         if len(faces) > limits.MESH_FACES or len(vertices) > 3 * limits.MESH_FACES:
             words = f"the meshes below `{stage.prim}` have {len(faces):,} faces, more than {limits.MESH_FACES:,}"
             raise UsdError("too-large", words, "name a part of it")
-        moves = _moves(answer, len(vertices), len(stage.frames)) if "moves:group" in answer.arrays else None
-        values = {name: _values(answer, f"value:{number}", len(vertices)) for number, name in enumerate(names)}
+        moves = _read_moves(answer, len(vertices), len(stage.frames)) if "moves:group" in answer.arrays else None
+        values = {name: _read_values(answer, f"value:{number}", len(vertices)) for number, name in enumerate(names)}
         passed_over = tuple(text[:_TEXT] for text in answer.texts("passed_over", 1000))
     except ProtocolError as why:
-        raise stage.senseless(why) from None
-    raw = sound(vertices, faces)  # which looks at each index and each vertex that is used
+        raise stage.make_answer_error(why) from None
+    raw = check_mesh(vertices, faces)  # which looks at each index and each vertex that is used
     used_values = {name: value[raw.own_vertices] for name, value in values.items()}
-    return UsdMesh(raw, None if moves is None else moves.take(raw.own_vertices), used_values, passed_over)
+    return UsdMesh(raw, None if moves is None else moves.select_vertices(raw.own_vertices), used_values, passed_over)
 
 
-def _moves(answer: Message, count: int, frames: int) -> MeshMoves:
+def _read_moves(answer: Message, count: int, frames: int) -> MeshMoves:
     tracks = answer.array("moves:tracks", "f8", None, frames, 3, 4)
     deformed = answer.indices("moves:bent", "i8", count, None)
     offsets = answer.array("moves:offsets", "f8", frames if len(deformed) else 0, len(deformed), 3)
@@ -74,12 +74,12 @@ def _moves(answer: Message, count: int, frames: int) -> MeshMoves:
     return MeshMoves(answer.indices("moves:group", "i4", len(tracks), count), tracks, deformed, offsets)
 
 
-def _values(answer: Message, name: str, count: int) -> Floats:
+def _read_values(answer: Message, name: str, count: int) -> Floats:
     array = answer.arrays.get(name)
     return answer.array(name, "f8", count) if array is not None and array.ndim == 1 else answer.array(name, "f8", count, 3)
 
 
-def checked(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
+def with_usd_errors(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
     """Wrap a function so that an invalid answer raises UsdError."""
 
     @wraps(read)
@@ -87,7 +87,7 @@ def checked(read: Callable[[UsdStage], T]) -> Callable[[UsdStage], T]:
         try:
             return read(stage)
         except ProtocolError as why:
-            raise stage.senseless(why) from None
+            raise stage.make_answer_error(why) from None
 
     return judged
 
@@ -114,10 +114,10 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
             unit=answer.number("unit"),
         )
     except ProtocolError as why:
-        raise stage.senseless(why) from None
+        raise stage.make_answer_error(why) from None
 
 
-@checked
+@with_usd_errors
 def read_usd_curve(stage: UsdStage) -> Floats:
     """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
 
@@ -128,7 +128,7 @@ def read_usd_curve(stage: UsdStage) -> Floats:
     return positions
 
 
-@checked
+@with_usd_errors
 def read_usd_camera(stage: UsdStage) -> UsdCamera:
     """The camera that the prim is, or the only one below it."""
     answer = stage.ask("usd-camera")

@@ -63,7 +63,7 @@ class Closure:
             words = f"`{text}` cannot be read: there is no folder for temporary files ({(problem.strerror or '').lower()})"
             raise UsdError("bad-usd", words, "set TMPDIR to a folder with room", "usd") from None
         weakref.finalize(self, shutil.rmtree, self.folder, True)
-        self._top = self._path(text, None)
+        self._top = self._full_path(text, None)
         self.path = self._collect(text)
 
     @property
@@ -73,19 +73,19 @@ class Closure:
 
     def _collect(self, text: str) -> str:
         """Copy the file and all files it consists of; return the path of its copy."""
-        waiting = [self._add(text, None)]
+        waiting = [self._copy_file(text, None)]
         known_places = set(waiting)
         while waiting:
             place = waiting.pop()
-            for layer_place in self._named(place):
+            for layer_place in self._find_named_files(place):
                 if layer_place not in known_places:
                     known_places.add(layer_place)
                     waiting.append(layer_place)
                     if len(known_places) > limits.USD_LAYERS:
-                        raise self._too_large(text)
-        return self._copy(self._top)
+                        raise self._size_error(text)
+        return self._copy_path(self._top)
 
-    def _copy(self, path: str) -> str:
+    def _copy_path(self, path: str) -> str:
         """Where the copy of a file is, or would be."""
         try:
             below = os.path.relpath(path, os.path.commonpath([*self._folders.values()]))
@@ -94,41 +94,41 @@ class Closure:
             below = os.path.join(re.sub("[^A-Za-z0-9]", "_", drive), rest.lstrip("/\\"))
         return os.path.join(self.folder, below)
 
-    def _path(self, text: str, by: Place | None) -> str:
+    def _full_path(self, text: str, by: Place | None) -> str:
         """Return the full path of a file by its name in a scene, checked as text only."""
         if not text.lower().endswith(KINDS):
-            raise UsdError("bad-usd", f"`{_cut(text)}`{_naming(by)} is not one of {', '.join(KINDS)}", None, "usd")
+            raise UsdError("bad-usd", f"`{_shorten(text)}`{_naming_phrase(by)} is not one of {', '.join(KINDS)}", None, "usd")
         try:
             return os.path.abspath(self._roots.path(text))
         except PathRefused as refused:
-            raise _refused(refused, by) from None
+            raise _refusal_error(refused, by) from None
 
-    def _add(self, text: str, by: Place | None) -> Place:
+    def _copy_file(self, text: str, by: Place | None) -> Place:
         """Copy a file by its name in a scene."""
-        path = self._path(text, by)
+        path = self._full_path(text, by)
         if path not in self._files:
             try:
                 data = self._roots.read(text, limits.MESH_BYTES)
             except PathRefused as refused:
-                raise _refused(refused, by) from None
+                raise _refusal_error(refused, by) from None
             self.size += len(data)
             if len(self._files) >= limits.USD_LAYERS or self.size > 4 * limits.MESH_BYTES:
-                raise self._too_large(text)
+                raise self._size_error(text)
             self._files[path] = text
             self.hashes[text] = blake2b(data, digest_size=16).hexdigest()
             if text.lower().endswith(PACKAGE):
                 data = self._unpack(path, text, data)
-            self._write(Path(self._copy(path)), data)
+            self._write_copy(Path(self._copy_path(path)), data)
         return path, next(iter(self._packages.get(path, [""])))
 
     def _unpack(self, path: str, text: str, data: bytes) -> bytes:
         try:
-            self._packages[path] = layers_of(data)
+            self._packages[path] = read_layers(data)
         except PackageError as why:
             raise UsdError("bad-usd", f"the package `{text}` {why}", "export it again", "usd") from None
-        return packed(self._packages[path])
+        return make_package(self._packages[path])
 
-    def _write(self, path: Path, data: bytes) -> None:
+    def _write_copy(self, path: Path, data: bytes) -> None:
         try:
             path.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
             with open(path, "xb") as file:
@@ -137,16 +137,16 @@ class Closure:
             words = f"`{self.text}` cannot be copied to be read: {(problem.strerror or 'it cannot be written').lower()}"
             raise UsdError("bad-usd", words, "set TMPDIR to a folder with room", "usd") from None
 
-    def _named(self, place: Place) -> Iterator[Place]:
+    def _find_named_files(self, place: Place) -> Iterator[Place]:
         """Yield the files, or layers of the same package, that a layer names."""
         path, inside = place
-        copy, name = self._copy(path), f"{self._files[path]}{f'[{inside}]' if inside else ''}"
+        copy, name = self._copy_path(path), f"{self._files[path]}{f'[{inside}]' if inside else ''}"
         document = {"path": f"{copy}[{inside}]" if inside else copy, "folder": self.folder, "text": name}
         digest = blake2b(f"{self.hashes[self._files[path]]} {inside}".encode(), digest_size=16).hexdigest()
-        for asset in self._assets(document, name, digest):
-            yield self._part(place, asset) if inside else self._file(place, asset)
+        for asset in self._read_assets(document, name, digest):
+            yield self._find_package_layer(place, asset) if inside else self._find_file(place, asset)
 
-    def _assets(self, document: dict[str, str], name: str, digest: str) -> list[str]:
+    def _read_assets(self, document: dict[str, str], name: str, digest: str) -> list[str]:
         try:
             return client.ask("usd-layer", document, size=self.size, digest=digest).texts("assets")
         except Refusal as why:
@@ -158,7 +158,7 @@ class Closure:
         except ProtocolError as why:
             raise UsdError("bad-usd", f"`{name}` cannot be read: {why}", "export it again", "usd") from None
 
-    def _part(self, place: Place, asset: str) -> Place:
+    def _find_package_layer(self, place: Place, asset: str) -> Place:
         """Return a layer of a package that another layer of it names."""
         path, inside = place
         target = posixpath.normpath(posixpath.join(posixpath.dirname(inside), asset))
@@ -166,21 +166,21 @@ class Closure:
         if target not in parts and not asset.startswith("."):
             target = posixpath.normpath(asset)  # USD looks beside the layer, then from the package's top
         if target not in parts or _ABSOLUTE.match(asset):
-            words = f"`{_cut(asset)}`{_naming(place)} is not a layer of that package"
+            words = f"`{_shorten(asset)}`{_naming_phrase(place)} is not a layer of that package"
             raise UsdError("bad-path", words, "package all files together, for example with `usdzip`", "usd")
         return path, target
 
-    def _file(self, place: Place, asset: str) -> Place:
+    def _find_file(self, place: Place, asset: str) -> Place:
         """Copy a file that a layer names. Raises UsdError for an address, or for a text that is evaluated on opening."""
-        named = f"`{_cut(asset)}`{_naming(place)}"
+        named = f"`{_shorten(asset)}`{_naming_phrase(place)}"
         if "`" in asset or ":SDF_FORMAT_ARGS:" in asset:
             raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path out", "usd")
         if _ADDRESS.match(asset):
             raise UsdError("bad-path", f"{named} is an address, not a file", "copy the file beside the others", "usd")
         outer, mark, inner = asset.partition("[")
         if _ABSOLUTE.match(asset):
-            self._outside(named)
-        file_place = self._add(self._find_name(place[0], outer, named), place)
+            self._refuse_outside(named)
+        file_place = self._copy_file(self._find_name(place[0], outer, named), place)
         if not mark:
             return file_place
         if file_place[0] not in self._packages or inner.removesuffix("]") not in self._packages[file_place[0]]:
@@ -190,25 +190,25 @@ class Closure:
     def _find_name(self, path: str, asset: str, named: str) -> str:
         """Return the name of the file that USD would find: next to the layer, else next to the first one."""
         folders = [os.path.dirname(path)] + ([] if asset.startswith(".") else [os.path.dirname(self._top)])
-        names = [self._name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
+        names = [self._scene_name(os.path.normpath(os.path.join(folder, asset))) for folder in folders]
         inside = [name for name in names if name is not None]
         if not inside:
-            self._outside(named)
+            self._refuse_outside(named)
         return next((name for name in inside if self._is_there(name)), inside[0])
 
     def _is_there(self, name: str) -> bool:
         """Return whether anything exists there below a root. Reading it reports why it is not used."""
         try:
-            return self._roots.exists(name) >= 0
+            return self._roots.file_size(name) >= 0
         except PathRefused as refused:
             return refused.code != "no-such-file"
 
-    def _outside(self, named: str) -> NoReturn:
+    def _refuse_outside(self, named: str) -> NoReturn:
         message = f"{named} lies outside the scene's folder and of every granted root, or is absolute"
         help = "write a path relative to the file, and grant its folder with `--root NAME=FOLDER`, or copy the file"
         raise UsdError("bad-path", message, help, "usd")
 
-    def _name(self, path: str) -> str | None:
+    def _scene_name(self, path: str) -> str | None:
         """Return a file's name in a scene, None outside all roots. The disk is not accessed."""
         for name, folder in self._folders.items():
             if path.startswith(folder.rstrip(os.sep) + os.sep):
@@ -216,25 +216,25 @@ class Closure:
                 return f"{name}:{below}" if name else below
         return None
 
-    def _too_large(self, text: str) -> UsdError:
+    def _size_error(self, text: str) -> UsdError:
         return UsdError("too-large", f"`{text}` and the files it is made of are more than are read", None, "usd")
 
 
-def _refused(why: PathRefused, by: Place | None) -> UsdError:
-    return UsdError(why.code, f"{why} (named by {_layer(by)})" if by else str(why), why.help, "usd")
+def _refusal_error(why: PathRefused, by: Place | None) -> UsdError:
+    return UsdError(why.code, f"{why} (named by {_layer_name(by)})" if by else str(why), why.help, "usd")
 
 
-def _naming(place: Place | None) -> str:
+def _naming_phrase(place: Place | None) -> str:
     """Return which layer names a file, as words between the file's name and the problem."""
-    return f", named by {_layer(place)}," if place else ""
+    return f", named by {_layer_name(place)}," if place else ""
 
 
-def _layer(place: Place) -> str:
+def _layer_name(place: Place) -> str:
     name = posixpath.basename(place[1]) or os.path.basename(place[0])
     return f"`{display_text(name[:_DISPLAY_WIDTH])}`"
 
 
-def _cut(text: str) -> str:
+def _shorten(text: str) -> str:
     return display_text(text if len(text) <= _DISPLAY_WIDTH else text[: _DISPLAY_WIDTH - 3] + "…")
 
 
@@ -242,13 +242,13 @@ class PackageError(Exception):
     """Why a package is not read, in words that fit after its name."""
 
 
-def layers_of(data: bytes) -> dict[str, bytes]:
+def read_layers(data: bytes) -> dict[str, bytes]:
     """Return the layers of a package by name; the first represents the package. Raises PackageError if the file is not a package,
     or has a forbidden member. Other members, such as textures, are left out."""
     _check_end(data)
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
-            return _layers(archive, len(data))
+            return _read_layers(archive, len(data))
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError, struct.error):
         raise PackageError("is damaged, or no zip file") from None
 
@@ -263,7 +263,7 @@ def _check_end(data: bytes) -> None:
         raise PackageError(f"has {count:,} members, and more than {limits.PACKAGE_PARTS:,} are not read")
 
 
-def _layers(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
+def _read_layers(archive: zipfile.ZipFile, size: int) -> dict[str, bytes]:
     entries = archive.infolist()
     if len(entries) > limits.PACKAGE_PARTS:
         raise PackageError(f"has {len(entries):,} members, and more than {limits.PACKAGE_PARTS:,} are not read")
@@ -296,7 +296,7 @@ def _check_member(entry: zipfile.ZipInfo, known_names: set[str]) -> None:
         raise PackageError(f"has a member {display_name} that is a link or a device")
 
 
-def packed(layers: dict[str, bytes]) -> bytes:
+def make_package(layers: dict[str, bytes]) -> bytes:
     """A package of these layers."""
     file = io.BytesIO()
     with zipfile.ZipFile(file, "w", zipfile.ZIP_STORED) as archive:

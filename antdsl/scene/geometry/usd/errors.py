@@ -23,13 +23,13 @@ class UsdError(Refusal):
         super().__init__(code, message, help, key)
 
 
-def words_of(problem: Exception, folder: str) -> str:
-    """Return the message of a USD exception without the location in USD's sources. `folder`: as for `plain_words`."""
+def error_text(problem: Exception, folder: str) -> str:
+    """Return the message of a USD exception without the location in USD's sources. `folder`: as for `plain_text`."""
     messages = re.findall(r"in file \S+ : '(.*?)'\s*(?:\n|$)", str(problem), re.DOTALL)
-    return plain_words(messages[-1] if messages else type(problem).__name__, folder)
+    return plain_text(messages[-1] if messages else type(problem).__name__, folder)
 
 
-def plain_words(text: str, folder: str) -> str:
+def plain_text(text: str, folder: str) -> str:
     """Return USD's words as one line of a message, the same in each run: with the names of files instead of their copies in
     `folder`, and without memory addresses."""
     line = " ".join(text.replace(folder.rstrip(os.sep) + os.sep, "").split())
@@ -51,9 +51,9 @@ def pxr(module: str) -> Any:
         if any(words in str(problem) for words in _NO_MEMORY):
             raise MemoryError(str(problem)) from None
         why = "" if getattr(problem, "name", "") in ("pxr", f"pxr.{module}") else f", which cannot be loaded ({problem})"
-        raise missing_extra(why) from None
+        raise missing_extra_error(why) from None
 
 
-def missing_extra(why: str = "") -> UsdError:
+def missing_extra_error(why: str = "") -> UsdError:
     """Return the error for a missing usd-core. `why`: the reason if it is installed but cannot be loaded."""
     return UsdError("missing-extra", f"USD files need the package usd-core{why}", 'install it: pip install "antdsl[usd]"', "usd")

@@ -15,7 +15,7 @@ from antdsl.reader import client, confinement
 from antdsl.reader.protocol import Message, ProtocolError, Refusal
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.usd.closure import Closure
-from antdsl.scene.geometry.usd.errors import UsdError, missing_extra
+from antdsl.scene.geometry.usd.errors import UsdError, missing_extra_error
 from antdsl.scene.paths import Roots
 
 _FRAMES_A_SECOND = 8  # that a request may take in addition
@@ -63,23 +63,23 @@ class UsdStage:
                 files=self.closure.digest,
             )
         except client.ReaderFailure as why:
-            raise self.failed(str(why), why.help) from None
+            raise self.make_error(str(why), why.help) from None
         except Refusal as why:
             if why.about == "mesh":
                 raise MeshError(str(why), why.help) from None
             if why.about == "exception":
-                raise self.failed(f"cannot be read: {why}", why.help) from None
+                raise self.make_error(f"cannot be read: {why}", why.help) from None
             if why.about:
                 raise
             raise UsdError(why.code, str(why), why.help, why.key) from None
 
-    def failed(self, words: str, help: str | None = None) -> UsdError:
+    def make_error(self, words: str, help: str | None = None) -> UsdError:
         """An error about the prim, in words that fit after its name."""
         return UsdError("bad-usd", f"`{self.prim}` of `{self.closure.text}` {words}", help)
 
-    def senseless(self, why: ProtocolError) -> UsdError:
+    def make_answer_error(self, why: ProtocolError) -> UsdError:
         """An error for an answer that is not what was requested."""
-        return self.failed(f"cannot be read: the reader's answer makes no sense ({why})", "export it again")
+        return self.make_error(f"cannot be read: the reader's answer makes no sense ({why})", "export it again")
 
 
 def open_stage(
@@ -118,7 +118,7 @@ def _check_sandbox(text: str) -> None:
     """Raise UsdError without usd-core. Also raise it if nothing confines the process that would read USD, unless the user has
     said that USD files are trusted."""
     if find_spec("pxr") is None:
-        raise missing_extra()
+        raise missing_extra_error()
     try:
         is_confined = bool(client.active_layers()["seccomp"])
     except client.ReaderFailure as why:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
-from antdsl.scene.geometry.matrices import applied
+from antdsl.scene.geometry.matrices import apply_transforms
 from antdsl.scene.geometry.usd.child.shapes import BAKE, check_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
@@ -24,15 +24,15 @@ _BASES = {
 }
 
 
-def curve_places(stage: OpenStage) -> Floats:
+def curve_positions(stage: OpenStage) -> Floats:
     """Return the points (frames, k, 3) of the one BasisCurves at or below the prim; a single frame if it is static.
 
     Raises UsdError if there is none or more than one."""
     geom = pxr("UsdGeom")
-    curves = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.BasisCurves)]
+    curves = [prim for prim in stage.visible_prims(stage.prim) if prim.IsA(geom.BasisCurves)]
     path = stage.prim.GetPath()
     if not curves:
-        other = sorted({str(p.GetTypeName()) for p in stage.below(stage.prim) if p.IsA(geom.Curves)})
+        other = sorted({str(p.GetTypeName()) for p in stage.visible_prims(stage.prim) if p.IsA(geom.Curves)})
         words = f"there is no curve at or below `{path}`" + (f", only {', '.join(other)}" if other else "")
         raise UsdError("no-such-prim", words, "name a prim of the type BasisCurves")
     if len(curves) > 1:
@@ -45,25 +45,25 @@ def curve_places(stage: OpenStage) -> Floats:
     bends = len(stage.times) > 1 and (
         curve.GetPointsAttr().ValueMightBeTimeVarying() or curve.GetCurveVertexCountsAttr().ValueMightBeTimeVarying()
     )
-    travels = stage.travels(prim)
-    transforms = stage.matrices(prim, travels)
-    first = _polyline(curve, stage.first, prim)
+    travels = stage.is_moving(prim)
+    transforms = stage.scene_transforms(prim, travels)
+    first = _read_polyline(curve, stage.first, prim)
     if len(first) > limits.AGENTS:
         raise UsdError("too-large", f"`{prim.GetPath()}` has more than {limits.AGENTS:,} points")
     times = stage.times if bends or travels else stage.times[:1]
     check_bytes(len(first) * len(times) * 24, f"`{prim.GetPath()}`")
     positions = np.empty((len(times), len(first), 3))
     for k, time in enumerate(times):
-        line = _polyline(curve, pxr("Usd").TimeCode(time), prim) if k and bends else first
+        line = _read_polyline(curve, pxr("Usd").TimeCode(time), prim) if k and bends else first
         if len(line) != len(first):
             raise UsdError("moving-topology", f"the curve `{prim.GetPath()}` has other points at other frames", BAKE)
-        positions[k] = applied(transforms[min(k, len(transforms) - 1)], line)
+        positions[k] = apply_transforms(transforms[min(k, len(transforms) - 1)], line)
     if not np.isfinite(positions).all():
         raise UsdError("bad-usd", f"`{prim.GetPath()}` has a point that is not finite")
     return positions
 
 
-def _polyline(curve: Any, time: Any, prim: Any) -> Floats:
+def _read_polyline(curve: Any, time: Any, prim: Any) -> Floats:
     point_values = curve.GetPointsAttr().Get(time)
     points = np.array([] if point_values is None else point_values, np.float64).reshape(-1, 3)
     counts = list(curve.GetCurveVertexCountsAttr().Get(time) or [])
@@ -75,10 +75,10 @@ def _polyline(curve: Any, time: Any, prim: Any) -> Floats:
     basis = curve.GetBasisAttr().Get(time)
     if basis not in _BASES:
         raise UsdError("bad-usd", f"the curve `{prim.GetPath()}` has the basis `{basis}`", "use bezier, bspline or catmullRom")
-    return _cubic(points, basis, wrap, prim)
+    return _cut_cubic(points, basis, wrap, prim)
 
 
-def _cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
+def _cut_cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
     """Return points along a cubic curve, each segment divided evenly in its parameter."""
     weights, divisor, step = _BASES[basis]
     if wrap == "periodic":
@@ -91,14 +91,14 @@ def _cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
     t = np.arange(_PIECES) / _PIECES
     powers = np.stack([np.ones_like(t), t, t * t, t * t * t], axis=1)
     factors = np.array(weights, np.float64) / divisor
-    share = _summed(powers[:, k, None] * factors[k] for k in range(4))
+    share = _sum_arrays(powers[:, k, None] * factors[k] for k in range(4))
     control = points[(np.arange(pieces) * step)[:, None] + np.arange(4)]
-    along = _summed(share[:, k, None] * control[:, k, None, :] for k in range(4)).reshape(-1, 3)
-    last = _summed(factors)
-    end = _summed(last[k] * control[-1, k] for k in range(4))
+    along = _sum_arrays(share[:, k, None] * control[:, k, None, :] for k in range(4)).reshape(-1, 3)
+    last = _sum_arrays(factors)
+    end = _sum_arrays(last[k] * control[-1, k] for k in range(4))
     return np.concatenate([along, end[None]])
 
 
-def _summed(terms: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+def _sum_arrays(terms: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
     """Sum arrays in order, starting with 0."""
     return reduce(np.add, terms, np.zeros(()))

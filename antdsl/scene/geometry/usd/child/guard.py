@@ -10,7 +10,7 @@ import numpy as np
 
 from antdsl.reader.protocol import Refusal
 from antdsl.scene.geometry.mesh_text import MeshError
-from antdsl.scene.geometry.usd.errors import pxr, words_of
+from antdsl.scene.geometry.usd.errors import error_text, pxr
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import Message
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 Answer = tuple[dict[str, Any], Mapping[str, Any]]
 
 
-def guarded(read: Callable[[Message], Answer]) -> Callable[[Message], Answer]:
+def with_refusals(read: Callable[[Message], Answer]) -> Callable[[Message], Answer]:
     """Return the function with every problem of the file raised as a Refusal; its `about` is the message's subject."""
 
     @wraps(read)
@@ -29,7 +29,7 @@ def guarded(read: Callable[[Message], Answer]) -> Callable[[Message], Answer]:
         except MeshError as why:
             raise Refusal("bad-mesh", str(why), why.help, "prim", "mesh") from why
         except pxr("Tf").ErrorException as why:
-            raise Refusal("bad-usd", words_of(why, str(request.document["folder"])), None, "prim", "exception") from why
+            raise Refusal("bad-usd", error_text(why, str(request.document["folder"])), None, "prim", "exception") from why
         except UnicodeDecodeError as why:  # a name or a text of the file that USD passes on as it is
             raise Refusal("bad-usd", "it has bytes that are no UTF-8 text", "export it again", "prim", "exception") from why
 

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.reader.sandbox import allow_memory
-from antdsl.scene.geometry.matrices import applied, compose, determinants, have_inverses, inverse, still
+from antdsl.scene.geometry.matrices import apply_transforms, compose, determinants, have_inverses, inverses, still
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.polygons import TooManyCorners, triangulate
-from antdsl.scene.geometry.usd.child.shapes import BAKE, Placed, check_bytes, other_shapes, placed_meshes
+from antdsl.scene.geometry.usd.child.shapes import BAKE, PlacedMesh, check_bytes, placed_meshes, unread_shape_types
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
 
@@ -37,7 +37,7 @@ class JoinedMesh:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Shape:
-    placed: Placed
+    placed: PlacedMesh
     points: Floats
     faces: Faces
     is_deformed: bool
@@ -47,13 +47,13 @@ class _Shape:
         return len(self.placed.transforms)
 
 
-def joined_mesh(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
+def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
     """Return all meshes at and below the stage's prim, joined. Raises UsdError if there are none, MeshError if they are not
     usable."""
     path = stage.prim.GetPath()
     shapes, faces, points = [], 0, 0
     for placed in placed_meshes(stage):
-        shape = _shape(stage, placed)
+        shape = _read_shape(stage, placed)
         faces += len(shape.faces) * shape.count
         points += len(shape.points) * shape.count
         if faces > limits.MESH_FACES or points > 3 * limits.MESH_FACES:
@@ -62,50 +62,50 @@ def joined_mesh(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
             raise UsdError("too-large", f"{words}; {most}", "name a part of it")
         if len(shape.faces):
             shapes.append(shape)
-    passed_over = tuple(other_shapes(stage))
+    passed_over = tuple(unread_shape_types(stage))
     if not shapes:
         also = f", only {', '.join(passed_over)}" if passed_over else ""
-        raise UsdError("no-such-prim", f"there is no mesh at or below `{path}`{also}", _hidden(stage))
+        raise UsdError("no-such-prim", f"there is no mesh at or below `{path}`{also}", _hidden_reason(stage))
     allow_memory(6 * 24 * (faces + points))
-    values = {name: np.concatenate([_values(stage, shape, name) for shape in shapes]) for name in primvars}
-    return JoinedMesh(*_joined(shapes), _moves(stage, shapes), values, passed_over)
+    values = {name: np.concatenate([_read_values(stage, shape, name) for shape in shapes]) for name in primvars}
+    return JoinedMesh(*_join_shapes(shapes), _make_moves(stage, shapes), values, passed_over)
 
 
-def _shape(stage: OpenStage, placed: Placed) -> _Shape:
+def _read_shape(stage: OpenStage, placed: PlacedMesh) -> _Shape:
     """Return the points and triangles of a mesh prim. Holes and left-handed orientation are respected, subdivision is not."""
     prim, mesh = placed.prim, pxr("UsdGeom").Mesh(placed.prim)
     path = prim.GetPath()
     counts = np.array(mesh.GetFaceVertexCountsAttr().Get(stage.first) or [], np.int64)
     corners = np.array(mesh.GetFaceVertexIndicesAttr().Get(stage.first) or [], np.int64)
-    points = _points(mesh, stage.times[0])
+    points = _read_points(mesh, stage.times[0])
     if counts.sum() != len(corners) or (counts < 0).any():
         raise MeshError(f"has at `{path}` another number of corners than its faces say")
     if len(corners) and (corners.min() < 0 or corners.max() >= len(points)):
         raise MeshError(f"has at `{path}` a face that names a point which is not there")
     for attribute in (mesh.GetFaceVertexCountsAttr(), mesh.GetFaceVertexIndicesAttr()):
         if len(stage.times) > 1 and attribute.ValueMightBeTimeVarying():
-            _same_faces(stage, attribute, path)
+            _check_same_faces(stage, attribute, path)
     is_filled = np.ones(len(counts), np.bool_)
     holes = np.array(mesh.GetHoleIndicesAttr().Get(stage.first) or [], np.int64)
     is_filled[holes[(holes >= 0) & (holes < len(counts))]] = False
-    faces = _triangles(points, counts, corners, is_filled, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded", path)
+    faces = _make_triangles(points, counts, corners, is_filled, mesh.GetOrientationAttr().Get(stage.first) == "leftHanded", path)
     is_deformed = len(stage.times) > 1 and mesh.GetPointsAttr().ValueMightBeTimeVarying()
     return _Shape(placed, points, faces, is_deformed)
 
 
-def _points(mesh: Any, time: float) -> Floats:
+def _read_points(mesh: Any, time: float) -> Floats:
     values = mesh.GetPointsAttr().Get(pxr("Usd").TimeCode(time))
     return np.array([] if values is None else values, np.float64).reshape(-1, 3)
 
 
-def _same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
+def _check_same_faces(stage: OpenStage, attribute: Any, path: Any) -> None:
     first = attribute.Get(stage.first)
     for time in stage.times[1:]:
         if attribute.Get(pxr("Usd").TimeCode(time)) != first:
             raise UsdError("moving-topology", f"the mesh `{path}` has other faces at other frames", BAKE)
 
 
-def _triangles(
+def _make_triangles(
     points: Floats,
     counts: NDArray[np.int64],
     corners: NDArray[np.int64],
@@ -128,12 +128,12 @@ def _triangles(
         raise MeshError(f"has at `{path}` a part that {why}", "cut it into smaller faces in the program that made it") from None
 
 
-def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
+def _join_shapes(shapes: list[_Shape]) -> tuple[Floats, Faces]:
     """Return every shape at every place, at the first frame. The outside of a mirrored one stays outside."""
     vertices, faces, vertex_count = [], [], 0
     for shape in shapes:
         transforms, count = shape.placed.transforms[:, 0], len(shape.points)
-        vertices.append(applied(transforms[:, None], shape.points).reshape(-1, 3))
+        vertices.append(apply_transforms(transforms[:, None], shape.points).reshape(-1, 3))
         is_mirrored = determinants(transforms) < 0
         turned = np.where(is_mirrored[:, None, None], shape.faces[:, [0, 2, 1]], shape.faces)
         faces.append((turned + (vertex_count + count * np.arange(len(transforms)))[:, None, None]).reshape(-1, 3))
@@ -141,13 +141,13 @@ def _joined(shapes: list[_Shape]) -> tuple[Floats, Faces]:
     return np.concatenate(vertices), np.concatenate(faces)
 
 
-def _moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | None:
+def _make_moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | None:
     """Return one track for each place that moves. Where points deform, or a place begins without a size, each vertex moves
     separately."""
     frames = len(stage.times)
     if not any(shape.is_deformed or shape.placed.transforms.shape[1] > 1 for shape in shapes):
         return None
-    free = [_are_free(shape) for shape in shapes]
+    free = [_find_free_places(shape) for shape in shapes]
     sizes = [
         len(shape.points) * frames * 24 * int(alone.sum()) + shape.placed.transforms.shape[1] * 96 * int((~alone).sum())
         for shape, alone in zip(shapes, free, strict=True)
@@ -161,7 +161,7 @@ def _moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | 
         number = np.where(moved, count + np.cumsum(moved) - 1, 0)
         group.append(np.repeat(number.astype(np.int32), points))
         if moved.any():
-            track = compose(transforms[moved], inverse(transforms[moved, 0])[:, None])
+            track = compose(transforms[moved], inverses(transforms[moved, 0])[:, None])
             track[is_first[moved]] = still()  # exactly where it rests
             tracks.append(track)
             count += len(track)
@@ -170,13 +170,13 @@ def _moves(stage: OpenStage, shapes: list[_Shape]) -> dict[str, NDArray[Any]] | 
     numbers = np.concatenate(deformed)
     offsets = np.empty((frames if len(numbers) else 0, len(numbers), 3))
     for k in range(len(offsets)):
-        offsets[k] = np.concatenate([_offsets(stage, s, f, k) for s, f in zip(shapes, free, strict=True) if f.any()])
+        offsets[k] = np.concatenate([_free_offsets(stage, s, f, k) for s, f in zip(shapes, free, strict=True) if f.any()])
     if count == 1 and not len(numbers):
         return None
     return {"group": np.concatenate(group), "tracks": np.concatenate(tracks), "bent": numbers, "offsets": offsets}
 
 
-def _are_free(shape: _Shape) -> NDArray[np.bool_]:
+def _find_free_places(shape: _Shape) -> NDArray[np.bool_]:
     """Return for each place of a shape whether its vertices move separately."""
     transforms = shape.placed.transforms
     if shape.is_deformed:
@@ -184,18 +184,20 @@ def _are_free(shape: _Shape) -> NDArray[np.bool_]:
     return ~have_inverses(transforms[:, 0]) if transforms.shape[1] > 1 else np.zeros(len(transforms), np.bool_)
 
 
-def _offsets(stage: OpenStage, shape: _Shape, free: NDArray[np.bool_], k: int) -> Floats:
+def _free_offsets(stage: OpenStage, shape: _Shape, free: NDArray[np.bool_], k: int) -> Floats:
     """Return the offsets of the vertices of free places at a frame from their rest positions."""
-    points = _points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.is_deformed else shape.points
+    points = _read_points(pxr("UsdGeom").Mesh(shape.placed.prim), stage.times[k]) if shape.is_deformed else shape.points
     if len(points) != len(shape.points):
         path = shape.placed.prim.GetPath()
         raise UsdError("moving-topology", f"the mesh `{path}` has other points at other frames", BAKE)
     transforms = shape.placed.transforms[free]
-    shift = applied(transforms[:, min(k, transforms.shape[1] - 1), None], points) - applied(transforms[:, 0, None], shape.points)
+    shift = apply_transforms(transforms[:, min(k, transforms.shape[1] - 1), None], points) - apply_transforms(
+        transforms[:, 0, None], shape.points
+    )
     return shift.reshape(-1, 3)
 
 
-def _values(stage: OpenStage, shape: _Shape, name: str) -> Floats:
+def _read_values(stage: OpenStage, shape: _Shape, name: str) -> Floats:
     """Return a primvar on the points of a shape, at each of its places. Vectors turn with the mesh but do not change their
     length."""
     prim = shape.placed.prim
@@ -210,7 +212,7 @@ def _values(stage: OpenStage, shape: _Shape, name: str) -> Floats:
         words = f"the primvar `{name}` of `{prim.GetPath()}` has {len(values):,} values for {len(shape.points):,} points"
         raise UsdError("bad-usd", words, "paint it on the points (interpolation `vertex`)")
     if values.shape[1] == 3:
-        return _turned(shape.placed.transforms[:, 0, None], values).reshape(-1, 3)
+        return _rotate_vectors(shape.placed.transforms[:, 0, None], values).reshape(-1, 3)
     return np.tile(values[:, 0], shape.count)
 
 
@@ -218,13 +220,13 @@ def _is_vector(primvar: Any) -> bool:
     return "3" in str(primvar.GetTypeName())
 
 
-def _turned(transforms: Floats, vectors: Floats) -> Floats:
-    turned = applied(np.concatenate([transforms[..., :3], np.zeros((*transforms.shape[:-1], 1))], axis=-1), vectors)
+def _rotate_vectors(transforms: Floats, vectors: Floats) -> Floats:
+    turned = apply_transforms(np.concatenate([transforms[..., :3], np.zeros((*transforms.shape[:-1], 1))], axis=-1), vectors)
     long, size = (np.sqrt((v * v).sum(axis=-1, keepdims=True)) for v in (vectors, turned))
     return np.asarray(turned * (long / np.where(size > 0, size, 1.0)))
 
 
-def _hidden(stage: OpenStage) -> str | None:
+def _hidden_reason(stage: OpenStage) -> str | None:
     """Return the message for the case that all meshes have another purpose or are invisible."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
     every = [p for p in usd.PrimRange(stage.prim, usd.TraverseInstanceProxies()) if p.IsA(geom.Mesh)]

@@ -8,7 +8,7 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
-from antdsl.scene.geometry.matrices import applied, scale
+from antdsl.scene.geometry.matrices import apply_transforms, uniform_scale
 from antdsl.scene.geometry.usd.child.shapes import BAKE, check_bytes
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
@@ -22,12 +22,12 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     """Return the points of all Points prims at or below the prim; if there are none, one for each child that has a position. With
     a `kind`, return all prims below it instead, at any depth, with `userProperties:kind` equal to that word."""
     geom = pxr("UsdGeom")
-    clouds = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
-    empties = [] if clouds else _children(stage) if kind is None else _of_kind(stage, kind)
+    clouds = [prim for prim in stage.visible_prims(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
+    empties = [] if clouds else _placed_children(stage) if kind is None else _prims_of_kind(stage, kind)
     if len(empties) > limits.AGENTS:
         raise UsdError("too-large", f"below `{stage.prim.GetPath()}` are more than {limits.AGENTS:,} places")
     check_bytes(len(empties) * len(stage.times) * 24, f"the places below `{stage.prim.GetPath()}`")
-    parts = [_cloud(stage, prim) for prim in clouds] or [_empty(stage, prim) for prim in empties]
+    parts = [_read_cloud(stage, prim) for prim in clouds] or [_read_empty(stage, prim) for prim in empties]
     if not parts:
         raise UsdError(
             "no-such-prim", f"there are neither points nor empties below `{stage.prim.GetPath()}`", "name a Points prim"
@@ -57,15 +57,15 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
             for key in words
         },
         ahead=np.concatenate([part.ahead for part in parts]),
-        unit=scale(stage.to_scene),
+        unit=uniform_scale(stage.to_scene),
     )
 
 
-def _cloud(stage: OpenStage, prim: Any) -> UsdPoints:
+def _read_cloud(stage: OpenStage, prim: Any) -> UsdPoints:
     points = pxr("UsdGeom").Points(prim)
     attribute, path = points.GetPointsAttr(), prim.GetPath()
     moving = len(stage.times) > 1 and attribute.ValueMightBeTimeVarying()
-    transforms = stage.matrices(prim, stage.travels(prim))
+    transforms = stage.scene_transforms(prim, stage.is_moving(prim))
     count = len(attribute.Get(stage.first) or [])
     times = stage.times if moving or len(transforms) > 1 else stage.times[:1]
     check_bytes(count * len(times) * 24, f"`{path}`")
@@ -74,16 +74,16 @@ def _cloud(stage: OpenStage, prim: Any) -> UsdPoints:
         frame_points = np.array(attribute.Get(pxr("Usd").TimeCode(time)) or [], np.float64).reshape(-1, 3)
         if len(frame_points) != count:
             raise UsdError("moving-topology", f"`{path}` has other points at other frames", BAKE)
-        positions[k] = applied(transforms[min(k, len(transforms) - 1)], frame_points)
+        positions[k] = apply_transforms(transforms[min(k, len(transforms) - 1)], frame_points)
     widths = np.array(points.GetWidthsAttr().Get(stage.first) or [], np.float64)
-    one = scale(transforms[0])
+    one = uniform_scale(transforms[0])
     width = np.broadcast_to(widths, count) if len(widths) in (1, count) and count else np.full(count, np.nan)
-    names = tuple(_names(prim, count))
-    values = _numbers(stage, prim, count)
-    return UsdPoints(names, positions, width / 2 * one, values, {}, np.full((count, 3), np.nan), scale(stage.to_scene))
+    names = tuple(_read_names(prim, count))
+    values = _read_numbers(stage, prim, count)
+    return UsdPoints(names, positions, width / 2 * one, values, {}, np.full((count, 3), np.nan), uniform_scale(stage.to_scene))
 
 
-def _names(prim: Any, count: int) -> list[str]:
+def _read_names(prim: Any, count: int) -> list[str]:
     """Return the primvar `name` if it has one word per point, else the prim's name with a number."""
     primvar = pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvar("name")
     words = list(primvar.ComputeFlattened() or []) if primvar and primvar.HasValue() else []
@@ -92,7 +92,7 @@ def _names(prim: Any, count: int) -> list[str]:
     return [prim.GetName()] if count == 1 else [f"{prim.GetName()}_{number}" for number in range(count)]
 
 
-def _numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
+def _read_numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
     values_by_name = {}
     for primvar in pxr("UsdGeom").PrimvarsAPI(prim).GetPrimvarsWithValues():
         value = primvar.ComputeFlattened(stage.first)
@@ -102,7 +102,7 @@ def _numbers(stage: OpenStage, prim: Any, count: int) -> dict[str, Floats]:
     return values_by_name
 
 
-def _children(stage: OpenStage) -> list[Any]:
+def _placed_children(stage: OpenStage) -> list[Any]:
     return [
         p
         for p in stage.prim.GetFilteredChildren(pxr("Usd").TraverseInstanceProxies())
@@ -110,11 +110,11 @@ def _children(stage: OpenStage) -> list[Any]:
     ]
 
 
-def _of_kind(stage: OpenStage, kind: str) -> list[Any]:
+def _prims_of_kind(stage: OpenStage, kind: str) -> list[Any]:
     """Return the prims below that declare a kind. If none has it, raise UsdError that lists the existing kinds."""
     prims: list[Any] = []
     others: set[str] = set()
-    for prim in stage.below(stage.prim):
+    for prim in stage.visible_prims(stage.prim):
         attribute = prim.GetAttribute(f"{_USER}:kind")
         word = attribute.Get(stage.first) if attribute and attribute.HasValue() else None
         if word is not None and str(word) == kind and prim.IsA(pxr("UsdGeom").Xformable):
@@ -133,10 +133,10 @@ def _of_kind(stage: OpenStage, kind: str) -> list[Any]:
     raise UsdError("no-such-prim", f'nothing below `{where}` has `{_USER}:kind = "{kind}"`', help, "kind")
 
 
-def _empty(stage: OpenStage, prim: Any) -> UsdPoints:
+def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
     """Return a prim that is only a place: an Xform, a locator, an empty of Blender."""
-    transforms = stage.matrices(prim, stage.travels(prim))
-    values = _numbers(stage, prim, 1)
+    transforms = stage.scene_transforms(prim, stage.is_moving(prim))
+    values = _read_numbers(stage, prim, 1)
     texts: dict[str, tuple[str, ...]] = {}
     for attribute in prim.GetAuthoredPropertiesInNamespace(_USER):
         name = str(attribute.GetName()).removeprefix(f"{_USER}:")
@@ -154,5 +154,5 @@ def _empty(stage: OpenStage, prim: Any) -> UsdPoints:
         values,
         texts,
         transforms[:1, :, 0],
-        scale(stage.to_scene),
+        uniform_scale(stage.to_scene),
     )

@@ -8,11 +8,11 @@ import numpy as np
 
 from antdsl.numerics import vector_rows
 from antdsl.reader.protocol import pack_texts
-from antdsl.scene.geometry.matrices import scale
+from antdsl.scene.geometry.matrices import uniform_scale
 from antdsl.scene.geometry.usd.child import stage as stages
-from antdsl.scene.geometry.usd.child.curves import curve_places
-from antdsl.scene.geometry.usd.child.guard import Answer, guarded
-from antdsl.scene.geometry.usd.child.meshes import joined_mesh
+from antdsl.scene.geometry.usd.child.curves import curve_positions
+from antdsl.scene.geometry.usd.child.guard import Answer, with_refusals
+from antdsl.scene.geometry.usd.child.meshes import join_meshes
 from antdsl.scene.geometry.usd.child.points import point_arrays
 from antdsl.scene.geometry.usd.child.stage import Floats, OpenStage
 from antdsl.scene.geometry.usd.errors import UsdError, pxr
@@ -24,24 +24,24 @@ _SENSOR = 36.0  # mm, the width that focal lengths are for
 _AHEAD = 1000.0  # mm: how far off it looks where it has no focus
 
 
-@guarded
+@with_refusals
 def open_stage(request: Message) -> Answer:
     """Nothing but whether the stage can be opened."""
     stages.open_stage(request)
     return {}, {}
 
 
-@guarded
+@with_refusals
 def read_mesh(request: Message) -> Answer:
     """Answer with `vertices`, `faces`, `moves:…` if the mesh moves, `value:N` for the Nth of `primvars`, and `passed_over`."""
     names = [str(name) for name in request.document["primvars"]]
-    mesh = joined_mesh(stages.open_stage(request), names)
+    mesh = join_meshes(stages.open_stage(request), names)
     moves = {f"moves:{name}": array for name, array in (mesh.moves or {}).items()}
     values = {f"value:{number}": mesh.values[name] for number, name in enumerate(names)}
     return {"passed_over": mesh.passed_over}, {"vertices": mesh.vertices, "faces": mesh.faces} | moves | values
 
 
-@guarded
+@with_refusals
 def read_points(request: Message) -> Answer:
     """Answer with `names`, `places`, `radius`, `ahead`; `value:N` and `text:N` for the Nth of `values` and `texts`; `unit`."""
     points = point_arrays(stages.open_stage(request), request.document["of_kind"])
@@ -53,13 +53,13 @@ def read_points(request: Message) -> Answer:
     return {"unit": points.unit, "values": list(points.values), "texts": list(points.texts)}, arrays
 
 
-@guarded
+@with_refusals
 def read_curve(request: Message) -> Answer:
     """`places`."""
-    return {}, {"places": curve_places(stages.open_stage(request))}
+    return {}, {"places": curve_positions(stages.open_stage(request))}
 
 
-@guarded
+@with_refusals
 def read_camera(request: Message) -> Answer:
     """`at`, `look_at`, `up` and `focal`."""
     return {}, camera_arrays(stages.open_stage(request))
@@ -68,7 +68,7 @@ def read_camera(request: Message) -> Answer:
 def camera_arrays(stage: OpenStage) -> dict[str, Floats]:
     """The camera that the prim is, or the only one below it: `at`, `look_at`, `up` (frames, 3) and `focal` (frames,)."""
     geom = pxr("UsdGeom")
-    cameras = [prim for prim in stage.below(stage.prim) if prim.IsA(geom.Camera)]
+    cameras = [prim for prim in stage.visible_prims(stage.prim) if prim.IsA(geom.Camera)]
     if len(cameras) != 1:
         path = stage.prim.GetPath()
         words = f"there is no camera at or below `{path}`" if not cameras else f"below `{path}` are {len(cameras)} cameras"
@@ -77,11 +77,11 @@ def camera_arrays(stage: OpenStage) -> dict[str, Floats]:
     prim, camera = cameras[0], geom.Camera(cameras[0])
     attributes = (camera.GetFocalLengthAttr(), camera.GetHorizontalApertureAttr(), camera.GetFocusDistanceAttr())
     changes = len(stage.times) > 1 and any(a.ValueMightBeTimeVarying() for a in attributes)
-    transforms = stage.matrices(prim, stage.travels(prim))
+    transforms = stage.scene_transforms(prim, stage.is_moving(prim))
     times = stage.times if changes or len(transforms) > 1 else stage.times[:1]
     transforms = np.broadcast_to(transforms, (len(times), 3, 4))
     lens = np.array([[float(a.Get(pxr("Usd").TimeCode(time))) for a in attributes] for time in times])
-    unit = scale(stage.to_scene)
+    unit = uniform_scale(stage.to_scene)
     at, ahead, up = transforms[:, :, 3], -vector_rows.unit(transforms[:, :, 2]), vector_rows.unit(transforms[:, :, 1])
     far = np.where(lens[:, 2] > 0, lens[:, 2] * unit, _AHEAD)[:, None]
     # both are in tenths of the stage's unit, so that their ratio is free of it

@@ -19,7 +19,7 @@ _NESTED = 8  # point instancers inside each other
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Placed:
+class PlacedMesh:
     """A mesh prim, and its transforms into the scene: matrices (places, frames, 3, 4), one frame if none of them moves."""
 
     prim: Any
@@ -27,7 +27,7 @@ class Placed:
 
 
 @dataclass(slots=True)
-class Count:
+class PlaceCount:
     """The number of places that point instancers create below `path`, with nested ones multiplied. They are counted before the
     places are built."""
 
@@ -35,7 +35,7 @@ class Count:
     instances: int = 0
     meshes: int = 0
 
-    def instance(self, count: int) -> None:
+    def add_instances(self, count: int) -> None:
         """Add the instances of one instancer at all its own places. Raises UsdError above the limit."""
         self.instances += count
         self._check(self.instances, "instances")
@@ -51,25 +51,27 @@ class Count:
             raise UsdError("too-large", words, "name a part of it, or scatter fewer")
 
 
-def placed_meshes(stage: OpenStage) -> Iterator[Placed]:
+def placed_meshes(stage: OpenStage) -> Iterator[PlacedMesh]:
     """Yield every mesh at or below the stage's prim, in the order of the file."""
-    count = Count(str(stage.prim.GetPath()))
-    for prim in stage.below(stage.prim):
+    count = PlaceCount(str(stage.prim.GetPath()))
+    for prim in stage.visible_prims(stage.prim):
         if prim.IsA(pxr("UsdGeom").Mesh):
-            yield Placed(prim, stage.matrices(prim, stage.travels(prim))[None])
+            yield PlacedMesh(prim, stage.scene_transforms(prim, stage.is_moving(prim))[None])
         elif prim.IsA(pxr("UsdGeom").PointInstancer):
-            yield from _instances(stage, prim, stage.matrices(prim, stage.travels(prim))[None], count, 1)
+            yield from _placed_instances(stage, prim, stage.scene_transforms(prim, stage.is_moving(prim))[None], count, 1)
 
 
-def other_shapes(stage: OpenStage) -> list[str]:
+def unread_shape_types(stage: OpenStage) -> list[str]:
     """Return the types of the shapes at or below the prim that are not meshes and are not read."""
     geom = pxr("UsdGeom")
     read = (geom.Mesh, geom.PointInstancer, geom.Curves, geom.Points)
-    type_names = {str(p.GetTypeName()) for p in stage.below(stage.prim) if p.IsA(geom.Gprim) and not any(p.IsA(k) for k in read)}
+    type_names = {
+        str(p.GetTypeName()) for p in stage.visible_prims(stage.prim) if p.IsA(geom.Gprim) and not any(p.IsA(k) for k in read)
+    }
     return sorted(type_names)
 
 
-def _instances(stage: OpenStage, prim: Any, transforms: Floats, count: Count, depth: int) -> Iterator[Placed]:
+def _placed_instances(stage: OpenStage, prim: Any, transforms: Floats, count: PlaceCount, depth: int) -> Iterator[PlacedMesh]:
     """Yield the meshes that a point instancer places. `transforms` transform from the instancer's space to the scene."""
     if depth > _NESTED:
         raise UsdError("too-large", f"`{prim.GetPath()}` has point instancers more than {_NESTED} deep in each other")
@@ -77,38 +79,38 @@ def _instances(stage: OpenStage, prim: Any, transforms: Floats, count: Count, de
     index = np.array(instancer.GetProtoIndicesAttr().Get(stage.first) or [], np.int64)
     if not len(index):
         return
-    chosen = _unmasked(stage, instancer, len(index))
+    chosen = _find_unmasked(stage, instancer, len(index))
     roots = [prim.GetStage().GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetForwardedTargets()]
     if index.min() < 0 or index.max() >= len(roots):
         raise UsdError("bad-usd", f"`{prim.GetPath()}` names a prototype that it does not have")
-    count.instance(len(index) * len(transforms))
-    own = _transforms(stage, instancer, len(index))
+    count.add_instances(len(index) * len(transforms))
+    own = _instance_transforms(stage, instancer, len(index))
     for number, root in enumerate(roots):
         of_this = np.flatnonzero(chosen & (index == number))
         if root and len(of_this):
-            inside = _together(transforms, own[of_this])
-            for child, transform in _prototype(stage, root):
-                child_transforms = _together(inside, transform[None])
+            inside = _compose_all(transforms, own[of_this])
+            for child, transform in _prototype_meshes(stage, root):
+                child_transforms = _compose_all(inside, transform[None])
                 if child.IsA(pxr("UsdGeom").Mesh):
                     count.mesh(len(child_transforms))
-                    yield Placed(child, child_transforms)
+                    yield PlacedMesh(child, child_transforms)
                 else:
-                    yield from _instances(stage, child, child_transforms, count, depth + 1)
+                    yield from _placed_instances(stage, child, child_transforms, count, depth + 1)
 
 
-def _together(outer: Floats, inner: Floats) -> Floats:
+def _compose_all(outer: Floats, inner: Floats) -> Floats:
     """Apply every outer transform after every inner one: (a, f, 3, 4) and (b, g, 3, 4) to (a·b, max(f, g), 3, 4)."""
     check_bytes(len(outer) * len(inner) * max(outer.shape[1], inner.shape[1]) * 96, "instances")
     composed = compose(outer[:, None], inner[None])
     return composed.reshape(-1, *composed.shape[2:])
 
 
-def _unmasked(stage: OpenStage, instancer: Any, count: int) -> NDArray[np.bool_]:
+def _find_unmasked(stage: OpenStage, instancer: Any, count: int) -> NDArray[np.bool_]:
     mask = list(instancer.ComputeMaskAtTime(stage.first))
     return np.array(mask, np.bool_) if len(mask) == count else np.ones(count, np.bool_)
 
 
-def _transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
+def _instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
     """Return each instance's transform into the instancer's space, including the prototype's own: (instances, frames, 3, 4)."""
     usd, path = pxr("Usd"), instancer.GetPath()
     attributes = (instancer.GetPositionsAttr(), instancer.GetOrientationsAttr(), instancer.GetScalesAttr())
@@ -137,7 +139,7 @@ def _transforms(stage: OpenStage, instancer: Any, count: int) -> Floats:
 BAKE = "write it out with one set of faces for all frames, or name a part that keeps its faces"
 
 
-def _prototype(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:
+def _prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:
     """Yield meshes and instancers of a prototype with their transform (frames, 3, 4) into its root's space, without the root's
     own."""
     usd, geom = pxr("Usd"), pxr("UsdGeom")
@@ -152,10 +154,10 @@ def _prototype(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:
         if inner:
             walk.PruneChildren()
         if (inner or prim.IsA(geom.Mesh)) and image.ComputePurpose() in ("default", stage.purpose):
-            yield prim, _relative(stage, prim, root)
+            yield prim, _relative_transforms(stage, prim, root)
 
 
-def _relative(stage: OpenStage, prim: Any, root: Any) -> Floats:
+def _relative_transforms(stage: OpenStage, prim: Any, root: Any) -> Floats:
     geom = pxr("UsdGeom")
     moved, above = False, prim
     while above and above != root:

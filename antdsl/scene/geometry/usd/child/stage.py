@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.scene.geometry.matrices import compose
-from antdsl.scene.geometry.usd.child.guard import Answer, guarded
-from antdsl.scene.geometry.usd.errors import UsdError, plain_words, pxr, words_of
+from antdsl.scene.geometry.usd.child.guard import Answer, with_refusals
+from antdsl.scene.geometry.usd.errors import UsdError, error_text, plain_text, pxr
 
 if TYPE_CHECKING:
     from antdsl.reader.protocol import Message
@@ -47,7 +47,7 @@ class OpenStage:
             return True
         return image.ComputePurpose() in ("default", self.purpose) and image.ComputeVisibility(self.first) != "invisible"
 
-    def below(self, prim: Any) -> Iterator[Any]:
+    def visible_prims(self, prim: Any) -> Iterator[Any]:
         """Yield the prim and its visible descendants, including those in instances, without the prototypes of point
         instancers."""
         usd, geom = pxr("Usd"), pxr("UsdGeom")
@@ -61,7 +61,7 @@ class OpenStage:
                 walk.PruneChildren()
             yield descendant
 
-    def matrices(self, prim: Any, every: bool) -> Floats:
+    def scene_transforms(self, prim: Any, every: bool) -> Floats:
         """Return the transform from a prim's own space to the scene (frames, 3, 4), at all frames, or only at the first if
         `every` is False."""
         cache = pxr("UsdGeom").XformCache()
@@ -71,7 +71,7 @@ class OpenStage:
             found.append(column_matrix(cache.GetLocalToWorldTransform(prim)))
         return compose(self.to_scene, np.array(found))
 
-    def travels(self, prim: Any) -> bool:
+    def is_moving(self, prim: Any) -> bool:
         """Whether a prim's place may change over time."""
         geom = pxr("UsdGeom")
         while prim and not prim.IsPseudoRoot():
@@ -107,15 +107,17 @@ def open_stage(request: Message) -> OpenStage:
     key = (path, folder, prim, up, purpose, fps, frames.tobytes())
     if _last is None or _last[0] != key:
         _last = None
-        _last = (key, _opened(path, folder, text, prim, up, purpose, fps, frames.tolist()))
+        _last = (key, _open_layer(path, folder, text, prim, up, purpose, fps, frames.tolist()))
     return _last[1]
 
 
-def _opened(path: str, folder: str, text: str, prim: str, up: str, purpose: str, fps: Fraction, frames: list[int]) -> OpenStage:
+def _open_layer(
+    path: str, folder: str, text: str, prim: str, up: str, purpose: str, fps: Fraction, frames: list[int]
+) -> OpenStage:
     usd, geom, sdf = pxr("Usd"), pxr("UsdGeom"), pxr("Sdf")
     if not prim.startswith("/") or not sdf.Path.IsValidPathString(prim)[0] or not sdf.Path(prim).IsAbsoluteRootOrPrimPath():
         raise UsdError("no-such-prim", f"`{prim}` is not the path of a prim", "write it from the root: `/set/stones`")
-    place, top = sdf.Path(prim), opened_layer(path, folder, text)
+    place, top = sdf.Path(prim), open_layer(path, folder, text)
     stage = usd.Stage.OpenMasked(top, usd.StagePopulationMask([place]))
     stage.ExpandPopulationMask()
     for layer in stage.GetUsedLayers():
@@ -124,11 +126,11 @@ def _opened(path: str, folder: str, text: str, prim: str, up: str, purpose: str,
             raise UsdError("bad-path", f"`{text}` uses a file that is not below the granted roots", None, "usd")
     stage_prim = stage.GetPrimAtPath(place)
     if not stage_prim or not stage_prim.IsActive():
-        raise _no_such_prim(top, text, place, bool(stage_prim))
+        raise _missing_prim_error(top, text, place, bool(stage_prim))
     problems = stage.GetCompositionErrors()
     if problems:
-        raise UsdError("bad-usd", f"`{text}` does not hold together: {plain_words(str(problems[0]), folder)}", None, "usd")
-    _count_prims(stage, text, prim)
+        raise UsdError("bad-usd", f"`{text}` does not hold together: {plain_text(str(problems[0]), folder)}", None, "usd")
+    _check_prim_count(stage, text, prim)
     rate = float(stage.GetTimeCodesPerSecond())
     factor = float(geom.GetStageMetersPerUnit(stage)) * 1000.0
     for name, value in (("timeCodesPerSecond", rate), ("metersPerUnit", factor / 1000.0)):
@@ -136,10 +138,10 @@ def _opened(path: str, folder: str, text: str, prim: str, up: str, purpose: str,
             words = f"`{text}` says `{name} = {value:g}`, which cannot be"
             raise UsdError("bad-usd", words, f"give it a `{name}` above 0", "usd")
     times = tuple(float(Fraction(frame) / fps) * rate for frame in frames)
-    return OpenStage(stage_prim, _to_scene(factor, str(geom.GetStageUpAxis(stage)).lower(), up), times, purpose, stage)
+    return OpenStage(stage_prim, _scene_transform(factor, str(geom.GetStageUpAxis(stage)).lower(), up), times, purpose, stage)
 
 
-def _count_prims(stage: Any, text: str, prim: str) -> None:
+def _check_prim_count(stage: Any, text: str, prim: str) -> None:
     usd = pxr("Usd")
     for number, descendant in enumerate(usd.PrimRange(stage.GetPseudoRoot(), usd.TraverseInstanceProxies())):
         if number >= limits.USD_PRIMS:
@@ -150,12 +152,12 @@ def _count_prims(stage: Any, text: str, prim: str) -> None:
             raise UsdError("bad-usd", words, "name a smaller part of it")
 
 
-def _to_scene(factor: float, own: str, up: str) -> Floats:
+def _scene_transform(factor: float, own: str, up: str) -> Floats:
     matrix = np.zeros((3, 4))
     if own == up:
         rows = [(0, 1.0), (1, 1.0), (2, 1.0)]
     elif own == "z":
-        rows = [(0, 1.0), (2, 1.0), (1, -1.0)]  # as `meshes.turned_up`
+        rows = [(0, 1.0), (2, 1.0), (1, -1.0)]  # as `meshes.rotate_up`
     else:
         rows = [(0, 1.0), (2, -1.0), (1, 1.0)]
     for row, (column, sign) in enumerate(rows):
@@ -163,7 +165,7 @@ def _to_scene(factor: float, own: str, up: str) -> Floats:
     return matrix
 
 
-def _no_such_prim(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
+def _missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
     """Return an error that lists what exists instead: the children of the longest existing part of the path."""
     from antdsl.diagnostics.suggestion import nearest_name
 
@@ -187,14 +189,14 @@ def _no_such_prim(layer: Any, text: str, path: Any, inactive: bool) -> UsdError:
     return UsdError("no-such-prim", f"there is no prim `{path}` in `{text}`", help)
 
 
-@guarded
+@with_refusals
 def read_layer(request: Message) -> Answer:
     """Return the asset paths `assets` that the layer `path` is composed with, as they are in the file. These include sublayers,
     references, payloads and paths in variants. `folder`: the folder of all files of the stage; `text`: the layer's name in
     messages."""
     said = request.document
     path, folder, text = (str(said[key]) for key in ("path", "folder", "text"))
-    layer = opened_layer(path, folder, text)
+    layer = open_layer(path, folder, text)
     spec_paths: list[Any] = []
     layer.Traverse(pxr("Sdf").Path.absoluteRootPath, spec_paths.append)
     if any(place.pathElementCount > limits.USD_LEVELS for place in spec_paths):
@@ -210,7 +212,7 @@ def read_layer(request: Message) -> Answer:
     return {"assets": sorted(filter(None, layer.GetCompositionAssetDependencies()))}, {}  # an empty one names the layer itself
 
 
-def opened_layer(path: str, folder: str, text: str) -> Any:
+def open_layer(path: str, folder: str, text: str) -> Any:
     """Return a layer below a folder, and close those of other folders. Raises UsdError if USD cannot read it."""
     global _folder
     if folder != _folder:
@@ -228,7 +230,7 @@ def _checked_layer(path: str, folder: str, text: str) -> Any:
         if layer is not None:
             return layer
     except pxr("Tf").ErrorException as problem:
-        why = words_of(problem, folder).replace(os.path.relpath(path, folder), text)
+        why = error_text(problem, folder).replace(os.path.relpath(path, folder), text)
     except UnicodeDecodeError:  # USD's own words repeat what is no text
         why = "it has bytes that are no UTF-8 text"
     raise UsdError("bad-usd", f"`{text}` cannot be read as USD: {why}", "export it again", "usd")
