@@ -127,13 +127,13 @@ def ensure_environment(folder: Path, requirements: list[str]) -> Path:
     stamp = folder / "antdsl-installed"
     if python.exists() and stamp.exists() and stamp.read_text() == fingerprint:
         return python
-    print(f"setting up {folder} (Python packages, about 1 GB with Open3D; some minutes the first time)", flush=True)
+    print(f"setting up {folder} (Python packages, about 1 GB with Open3D; a few minutes the first time)", flush=True)
     stamp.unlink(missing_ok=True)
     # Debian's Python comes without what its `venv` needs.
     if importlib.util.find_spec("ensurepip") is None and is_debian() and can_install():
         install([VENV])
     if subprocess.run([sys.executable, "-m", "venv", str(folder)]).returncode:
-        sys.exit(f"no virtual environment could be made; on Debian or Ubuntu, run as root:\n  {INSTALL} {VENV}")
+        sys.exit(f"cannot create a virtual environment; on Debian or Ubuntu, run as root:\n  {INSTALL} {VENV}")
     pip = [str(python), "-m", "pip", "--disable-pip-version-check", "install", "--quiet"]
     subprocess.run([*pip, "--editable", f"{ROOT}[test,quality]", *requirements], check=True)
     # An editable install compiles nothing. Where no bytecode may be written, every command would compile all modules again.
@@ -180,15 +180,15 @@ def run_gate(python: Path) -> int:
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python3 -m antdsl.bootstrap", description=__doc__)
     parser.add_argument("job", choices=("example", "test", "gate"))
-    parser.add_argument("--env", type=Path, default=ROOT / ".venv", help="where the virtual environment is made")
-    parser.add_argument("--out", type=Path, default=ROOT / "out" / "foraging", help="where the example's cache goes")
+    parser.add_argument("--env", type=Path, default=ROOT / ".venv", help="folder of the virtual environment")
+    parser.add_argument("--out", type=Path, default=ROOT / "out" / "foraging", help="folder of the example's cache")
     parser.add_argument("--require", action="append", default=[], help="a further requirement, such as open3d-cpu==0.18.0")
-    parser.add_argument("--quick", action="store_true", help="only the tests that take a minute; they need no browser")
+    parser.add_argument("--quick", action="store_true", help="run only the quick tests (a minute); they need no browser")
     arguments, rest = parser.parse_known_args()
     if sys.version_info < (3, 11):  # noqa: UP036 - any Python may run this script
         sys.exit("antdsl needs Python 3.11 or newer")
     if (rest or arguments.quick) and arguments.job != "test":
-        parser.error(f"unknown: {' '.join(rest or ['--quick'])}")
+        parser.error(f"unknown option: {' '.join(rest or ['--quick'])}")
     try:
         install_system_packages()
         if arguments.job == "test" and not arguments.quick:
@@ -197,7 +197,7 @@ def main() -> int:
         python = ensure_environment(arguments.env.resolve(), arguments.require)
     except subprocess.CalledProcessError as failed:
         words = " ".join(map(str, failed.cmd))
-        sys.exit(f"this did not work, for the reason above; start again when it is mended:\n  {words}")
+        sys.exit(f"this failed, for the reason above; correct it and start again:\n  {words}")
     if arguments.job == "example":
         return run_example(python, arguments.out.resolve())
     if arguments.job == "gate":

@@ -52,7 +52,7 @@ def open_regular(path: Name, *, follow: bool = True, folder: int | None = None) 
         _require_regular(os.stat(path, follow_symlinks=follow, **below))
         handle = os.open(path, _READ | (0 if follow else getattr(os, "O_NOFOLLOW", 0)), **below)
     except ValueError:  # a name with a zero character
-        raise OSError(errno.EINVAL, "it has a name that no file can have") from None
+        raise OSError(errno.EINVAL, "no file can have this name") from None
     try:
         _require_regular(os.fstat(handle))
     except BaseException:

@@ -50,7 +50,7 @@ def _expand_patterns(paths: Iterable[Path], report: Report) -> Iterator[Path]:
         matches = [Path(name) for name in sorted(glob(str(path), recursive=True))]
         readable_paths = [each for each in matches if each.is_dir() or each.suffix in (".ant", ".yaml", ".yml")]
         if not readable_paths:
-            report.error("no-such-file", f"`{path}` matches no program (.ant), no scene (.yaml) and no folder", None)
+            report.error("no-such-file", f"`{path}` matches no program (.ant), scene (.yaml) or folder", None)
         yield from readable_paths
 
 

@@ -71,7 +71,7 @@ def _require_private(status: os.stat_result, others: int) -> None:
     if stat.S_ISLNK(status.st_mode) or getattr(status, "st_reparse_tag", False):
         raise NotPrivate(0, "it is a link")
     if stat.S_ISREG(status.st_mode) and status.st_nlink > 1:
-        raise NotPrivate(0, "it has another name elsewhere")
+        raise NotPrivate(0, "it has a second name elsewhere")
     if sys.platform == "win32":
         return
     if status.st_uid != os.geteuid():
@@ -91,7 +91,7 @@ def _local_app_data() -> Path:
     failed = ctypes.windll.shell32.SHGetKnownFolderPath(name, 0, None, ctypes.byref(folder_pointer))
     try:
         if failed or not folder_pointer.value:
-            raise FileNotFoundError(0, "Windows knows no folder for data of this user")
+            raise FileNotFoundError(0, "Windows has no data folder for this user")
         return Path(folder_pointer.value)
     finally:
         ctypes.windll.ole32.CoTaskMemFree(folder_pointer)

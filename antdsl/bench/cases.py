@@ -185,7 +185,7 @@ CASES: Mapping[str, Case] = {
         Case("flocking", "boids on a wavy ground with states", _example_maker("flocking/scene.yaml"), (400, 15_000), sight=25.0),
         Case("tunnel", "scouts dig through a hill, others follow", _example_maker("tunnel/scene.yaml")),
         Case("moods", "roaches with several machines of states", _example_maker("moods/scene.yaml"), (200, 15_000)),
-        Case("anthill", "builders dig a nest out of a block", _example_maker("anthill/scene.yaml")),
+        Case("anthill", "builders that dig a nest out of a block", _example_maker("anthill/scene.yaml")),
         Case(
             "node",
             "500 points that wander and keep apart: the work of one node",

@@ -41,7 +41,7 @@ def backend_of(measured: Measurement) -> str:
 
 SET_UP = ("start", "compile", "bind", "first step", "code", "code kept", "second step")
 COLUMNS = (
-    "backend", "run, CPU ms", "run, wall ms", "run, frames/s", "its step, CPU ms", "its feet, CPU ms",
+    "backend", "run, CPU ms", "run, wall ms", "run, frames/s", "step in run, CPU ms", "feet in run, CPU ms",
     "bare step, CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound",
     "bytes per agent", "grew by, MiB", *(f"{name}, CPU s" for name in SET_UP),
 )  # fmt: skip

@@ -130,7 +130,7 @@ def _check_layers(scene: Scene, program: Program, worn: Mapping[str, Definition]
                 report.error("unknown-name", words, place, f"did you mean `{near}`? {has}" if near else has)
         if len(named) > LAYERS_WORN:
             words = f"agents of `{line.species}` may wear {len(named)} layers, and {LAYERS_WORN} at most can be distinguished"
-            report.error("too-large", words, place, "put shapes that are worn together into one layer")
+            report.error("too-large", words, place, "combine shapes that are worn together in one layer")
 
 
 def clip_data(clip: Clip, body: Definition) -> ClipData:

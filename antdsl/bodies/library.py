@@ -17,5 +17,5 @@ def library_body(word: str) -> Definition:
         raise KeyError(word)
     definition, report = read_definition(resources.body_file(f"{word}.json"))
     if definition is None or not report.ok:
-        raise BodyError(f"`{word}` of the installation is damaged: {report.errors[0].message}", "install antdsl again")
+        raise BodyError(f"`{word}` in the installation is damaged: {report.errors[0].message}", "install antdsl again")
     return definition

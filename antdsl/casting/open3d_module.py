@@ -54,4 +54,4 @@ def require_open3d() -> None:
     """Raise ImportError if Open3D is not installed. This check is early because the import is slow, and may be needed only late
     in a run."""
     if find_spec("open3d") is None:
-        raise ImportError(_not_loaded("there is no such package"))
+        raise ImportError(_not_loaded("the package is not installed"))

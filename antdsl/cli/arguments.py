@@ -41,7 +41,7 @@ def parse_grants(words: Iterable[str]) -> dict[str, Path]:
     for name, folder in parse_pairs(words, "--root").items():
         path = Path(folder)
         if not re.fullmatch("[A-Za-z][A-Za-z0-9_]{1,31}", name):
-            raise typer.BadParameter(f"`{name}` is not a name for a root (2 to 32 letters)", param_hint="--root")
+            raise typer.BadParameter(f"`{name}` is not a valid name for a root (2 to 32 letters)", param_hint="--root")
         if not path.is_dir():
             raise typer.BadParameter(f"there is no folder `{folder}`", param_hint="--root")
         folders[name] = path.resolve()
@@ -98,7 +98,7 @@ def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, flo
         return None
     match = re.fullmatch(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)", text.strip(), re.ASCII)
     if match is None or len(text) > 32:
-        raise typer.BadParameter(f"`{text}` is no time: write `-0.25..0.25`, in frames", param_hint=flag)
+        raise typer.BadParameter(f"`{text}` is not a time: write `-0.25..0.25`, in frames", param_hint=flag)
     first, last = float(match[1]), float(match[2])
     if not -1 <= first < last <= 1 or last - first > 1:
         raise typer.BadParameter(

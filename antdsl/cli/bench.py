@@ -19,14 +19,14 @@ SLOWEST = "reference"  # left out unless it is named: it takes one agent at a ti
 
 
 def bench(
-    cases: list[str] = typer.Argument(None, metavar="[CASE…]", help="Cases of --list, or scenes. [default: a quick look]"),
+    cases: list[str] = typer.Argument(None, metavar="[CASE…]", help="Cases of --list, or scenes. [default: a quick selection]"),
     agents: list[int] = typer.Option([], "--agents", metavar="N", min=1, help="So many agents; may be given several times."),
-    backend: list[str] = typer.Option([], "--backend", metavar="NAME", help="A backend; several are compared as ratios."),
+    backend: list[str] = typer.Option([], "--backend", metavar="NAME", help="Backend; with several, show their ratios."),
     pairs: int = typer.Option(20, "--pairs", min=1, max=10_000, help="Rounds of each; below 20 no interval is shown."),
-    steps: int = typer.Option(0, "--steps", min=0, max=100_000, help="Steps in a turn; 0 takes as many as make 20 ms."),
+    steps: int = typer.Option(0, "--steps", min=0, max=100_000, help="Steps in a turn; 0: as many as take 20 ms."),
     threads: int = typer.Option(1, "--threads", min=1, max=256, help="Threads for rays, kernels and NumPy's chunks."),
     steps_only: bool = typer.Option(False, "--steps-only", help="Measure bare steps without full runs."),
-    json_: Path = typer.Option(None, "--json", metavar="FILE", help="Write all that was measured; `-` prints it."),
+    json_: Path = typer.Option(None, "--json", metavar="FILE", help="Write all measurements as JSON; `-` prints them."),
     list_: bool = typer.Option(False, "--list", help="List the cases and stop."),
 ) -> None:
     """Measure what steps cost: CPU and wall time, memory, set-up."""

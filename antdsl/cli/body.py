@@ -19,10 +19,14 @@ def body(
     file: Path = typer.Argument(
         ..., help="A definition file (.json), a glTF file (.glb, .gltf), a USD file, or a word of the library: ant."
     ),
-    as_json: bool = typer.Option(False, "--json", help="Print it as JSON for other programs, complaints among it."),
+    as_json: bool = typer.Option(False, "--json", help="Print the body and its findings as JSON, for other programs."),
     prim: str = typer.Option("", "--prim", metavar="PATH", help="Of a USD file: read what lies at and below this prim."),
     rate: float = typer.Option(
-        0.0, "--rate", min=0.0, max=1000.0, help="Samples a second of animations; 0: the frames of a USD file, 30 of a glTF file."
+        0.0,
+        "--rate",
+        min=0.0,
+        max=1000.0,
+        help="Samples per second of animations; 0: the frame rate of a USD file, 30 for a glTF file.",
     ),
     to: Path = typer.Option(
         None,
@@ -35,10 +39,10 @@ def body(
         "",
         "--layer",
         metavar="NAME",
-        help="Of a .glb or .gltf: the layer of shapes to write. [default: the one that is drawn]",
+        help="For .glb and .gltf: the layer of shapes to write. [default: the drawn one]",
         show_default=False,
     ),
-    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but complaints."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print findings only."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),
 ) -> None:
     """Say what is in the body of an agent: joints, shapes, layers, clips, groups, metadata, and what is wrong with it."""
@@ -83,7 +87,7 @@ def _write_body(body: Definition, source: Path, to: Path, layer: str, quiet: boo
 
     kind = to.suffix.lower()
     if kind not in (".json", ".glb", ".gltf"):
-        raise typer.BadParameter(f"`{to.name}` is none of .json, .glb, .gltf", param_hint="--to")
+        raise typer.BadParameter(f"`{to.name}` must end in .json, .glb or .gltf", param_hint="--to")
     if layer and layer not in body.layers:
         known = ", ".join(f"`{name}`" for name in body.layers) or "no layer"
         raise typer.BadParameter(f"the body has no layer `{layer}`: there is {known}", param_hint="--layer")

@@ -32,13 +32,10 @@ def check(
         "[default: this folder]",
         show_default=False,
     ),
-    format: Format = typer.Option(Format.full, "--format", help="How findings are written."),
-    strict: bool = typer.Option(False, "--strict", help="Warnings count as errors."),
+    format: Format = typer.Option(Format.full, "--format", help="Format of the findings."),
+    strict: bool = typer.Option(False, "--strict", help="Count warnings as errors."),
     explain: str = typer.Option(
-        None,
-        "--explain",
-        metavar="WORD",
-        help="Show the page of a code such as `unknown-state`, or what a word or a behaviour means, and stop.",
+        None, "--explain", metavar="WORD", help="Explain a code such as `unknown-state`, a word or a behaviour, and stop."
     ),
     params: bool = typer.Option(False, "--params", help="List every param as a table: default, unit, range, help."),
     cost: bool = typer.Option(
@@ -46,9 +43,9 @@ def check(
         "--cost",
         help="List what each state asks for, the memory an agent takes, and the faces, voxels, cells and points of a scene.",
     ),
-    imports: bool = typer.Option(False, "--imports", help="List what was read of each mesh of a scene, and what was changed."),
+    imports: bool = typer.Option(False, "--imports", help="List, for each mesh of a scene, what was read and what was changed."),
     cpu_limit: float = typer.Option(
-        300.0, "--cpu-limit", metavar="SECONDS", min=0, max=1e6, help="Processor time that one file may take; 0 is no limit."
+        300.0, "--cpu-limit", metavar="SECONDS", min=0, max=1e6, help="Limit of processor time per file; 0: no limit."
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
 ) -> None:
@@ -58,9 +55,9 @@ def check(
         return
     for is_requested, flag in ((params, "--params"), (cost, "--cost"), (imports, "--imports")):
         if is_requested and format not in (Format.full, Format.concise):
-            raise typer.BadParameter("this is listed as text; ask for it without `--format`", param_hint=flag)
+            raise typer.BadParameter("this list is available as text only; leave out `--format`", param_hint=flag)
     if STDIN in (paths or []) and len(paths) > 1:
-        raise typer.BadParameter("standard input is checked alone", param_hint="-")
+        raise typer.BadParameter("standard input must be alone", param_hint="-")
     from antdsl.checking import check_all, check_text
     from antdsl.cli.printing.reports import report_exit_code, show
     from antdsl.diagnostics import Report

@@ -82,7 +82,7 @@ def require_writable_folder(path: Path | None, flag: str, *names: str) -> None:
         )
     for name in names:
         if (path / name).is_dir():
-            words = f"error: `{path / name}` is a folder, and a file is to be put there"
+            words = f"error: `{path / name}` is a folder, but a file is needed there"
             raise CommandError(ExitCode.INPUT_OUTPUT, words, f"name another folder with `{flag}`")
     _try_writing(existing_parent / "antdsl", path, flag)
 
@@ -103,7 +103,7 @@ def protect_inputs(
     results = {flag: path for flag, path in files.items() if path is not None and not _is_same_file(path, Path(os.devnull))}
     for flag, path in results.items():
         if not is_standard_output(path) and any(_is_same_file(path, each) for each in inputs):
-            raise typer.BadParameter(f"`{path}` is read here, and would be lost; name another file", param_hint=flag)
+            raise typer.BadParameter(f"`{path}` is an input and would be lost; name another file", param_hint=flag)
         others = [other for other in results if other != flag and _is_same_destination(path, results[other])]
         if others:
             raise typer.BadParameter(f"`{path}` is named by `{others[0]}` too; name another file", param_hint=flag)
@@ -115,11 +115,11 @@ def protect_inputs(
             else [each for each in inputs if each.exists() and _first_name_below(each, folder) in result_names]
         )
         if lost:
-            words = f"error: `{lost[0]}` is read here, and would be lost"
+            words = f"error: `{lost[0]}` is an input and would be lost"
             raise CommandError(ExitCode.USAGE, words, f"name another folder with `{flag}`")
         for other, path in results.items():
             if folder is not None and _first_name_below(path, folder) in result_names:
-                raise typer.BadParameter(f"`{path}` has a name of what `{flag}` puts there; name another file", param_hint=other)
+                raise typer.BadParameter(f"`{path}` is also a result of `{flag}`; name another file", param_hint=other)
 
 
 def _is_same_file(one: Path, other: Path) -> bool:
@@ -148,5 +148,5 @@ def _try_writing(beside: Path, path: Path, flag: str) -> None:
         new_sibling(beside).unlink()
     except OSError as why:
         words = f"error: cannot write `{path}`: {(why.strerror or str(why)).lower()}"
-        advice = "make room, or " if why.errno in (errno.ENOSPC, errno.EDQUOT) else ""
+        advice = "free space, or " if why.errno in (errno.ENOSPC, errno.EDQUOT) else ""
         raise CommandError(ExitCode.INPUT_OUTPUT, words, f"{advice}name another place with `{flag}`") from None

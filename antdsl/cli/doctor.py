@@ -12,7 +12,7 @@ EXTRAS = {
     "pxr": "sets and bodies in USD files: pip install 'antdsl[usd]'",
     "matplotlib": "plots of sweeps: pip install 'antdsl[plots]'",
     "SALib": "sensitivity of sweeps: pip install 'antdsl[sensitivity]'",
-    "distributed": "sweeps, shots and pictures on more than one machine: pip install 'antdsl[cluster]'",
+    "distributed": "sweeps, shots and pictures on several machines: pip install 'antdsl[cluster]'",
     "pyarrow": "tables of sweeps as Parquet: pip install 'antdsl[parquet]'",
     "graphlay": "pictures of state machines: pip install 'antdsl[graph]'",
     "pygls": "editors: pip install 'antdsl[lsp]'",
@@ -56,7 +56,11 @@ def _check_system_libraries(problems: list[str]) -> None:
     from antdsl.bootstrap import SYSTEM_LIBRARIES, missing_packages
 
     missing = missing_packages(SYSTEM_LIBRARIES)
-    _print_check("system libraries", not missing, ", ".join(missing) if missing else "libegl1 libgl1 libusb-1.0-0 or their like")
+    _print_check(
+        "system libraries",
+        not missing,
+        ", ".join(missing) if missing else "libegl1 libgl1 libusb-1.0-0 or the equivalent packages",
+    )
     if missing:
         problems.append(f"as root: apt-get install -y {' '.join(missing)}")
 

@@ -15,13 +15,20 @@ from antdsl.cli.printing.messages import print_note
 def edit(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
     smooth: str = typer.Option(
-        ..., "--smooth", metavar="orient:N", help="Orientations as means over N frames, half before and half after; places stay."
+        ...,
+        "--smooth",
+        metavar="orient:N",
+        help="Replace orientations by means over N frames, centred on each frame; positions stay unchanged.",
     ),
     out: Path = typer.Option(
-        None, "--out", metavar="DIR", help="Where the new cache goes. [default: CACHE_edited beside it]", show_default=False
+        None,
+        "--out",
+        metavar="DIR",
+        help="Folder of the new cache. [default: CACHE_edited beside the old one]",
+        show_default=False,
     ),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
-    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
+    quiet: bool = typer.Option(False, "--quiet", "-q", help="Print problems only."),
 ) -> None:
     """Write a copy of a cache with its orientations smoothed over time."""
     from antdsl.outputs.cache.cache_reader import NAMES, CacheError, open_cache
@@ -43,7 +50,7 @@ def edit(
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
         raise CommandError(
-            ExitCode.INPUT_OUTPUT, f"error: {why}", f"this makes damaged frames again: {resume_command(cache)}"
+            ExitCode.INPUT_OUTPUT, f"error: {why}", f"to compute damaged frames again: {resume_command(cache)}"
         ) from None
     except NotEditable as why:
         raise CommandError(
@@ -66,8 +73,8 @@ def _parse_width(text: str) -> int:
 
     name, _, number = text.partition(":")
     if name != "orient":
-        raise typer.BadParameter(f"`{text}`: orientations are what can be smoothed; write `orient:9`", param_hint="--smooth")
+        raise typer.BadParameter(f"`{text}`: only orientations can be smoothed; write `orient:9`", param_hint="--smooth")
     if not (number.isascii() and number.isdigit() and len(number) < 4 and int(number) % 2 and LEAST <= int(number) <= MOST):
-        words = f"`{text}`: write an odd number of frames from {LEAST} to {MOST}; `orient:9` is four before, four after"
+        words = f"`{text}` needs an odd number of frames from {LEAST} to {MOST}; `orient:9` uses four before and four after"
         raise typer.BadParameter(words, param_hint="--smooth")
     return int(number)

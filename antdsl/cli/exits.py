@@ -19,7 +19,7 @@ _FIRST = {
     errno.EDQUOT: "make room, then",
     errno.EACCES: "allow writing there, then",
     errno.EPERM: "allow writing there, then",
-    errno.ENOLCK: "name a folder on a disk that has file locks, then",
+    errno.ENOLCK: "name a folder on a disk that supports file locks, then",
     errno.EROFS: "make the disk writable, then",
 }
 
@@ -111,7 +111,7 @@ def as_machine_failure(problem: Exception) -> OSError | MemoryError | None:
 def failure_error(problem: OSError | MemoryError, what: str = "", again: str = AGAIN) -> CommandError:
     """Return the exception that ends a command after a failure of the disk or of memory."""
     if isinstance(problem, MemoryError):
-        words = "error: out of memory; fewer agents, larger cells or a lighter mesh need less"
+        words = "error: out of memory; use fewer agents, larger cells or a lighter mesh"
         return CommandError(ExitCode.INPUT_OUTPUT, words, f"once there is more, {again}")
     if problem.errno == errno.ENOENT and not problem.filename and not _has_working_directory():
         return CommandError(

@@ -15,9 +15,9 @@ def explain(
     agent: int = typer.Option(..., "--agent", metavar="ID", min=0, help="The agent's id."),
     frame: int = typer.Option(..., "--frame", metavar="N", help="The frame that the step led to."),
     species: str = typer.Option(None, "--species", metavar="NAME", help="Its species, where the scene has several."),
-    scene: Path = typer.Option(None, "--scene", metavar="FILE", help="The scene, where it is not near the cache."),
+    scene: Path = typer.Option(None, "--scene", metavar="FILE", help="The scene, if it is not near the cache."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
-    json: bool = typer.Option(False, "--json", help="Print it as JSON."),
+    json: bool = typer.Option(False, "--json", help="Print JSON."),
 ) -> None:
     """Say why an agent did what it did in a frame: each change looked at, each layer's push, what it sensed and drew."""
     from antdsl.cli.arguments import parse_grants
@@ -37,7 +37,7 @@ def explain(
     except ManifestError as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     except CacheError as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", f"this makes it again: {resume_command(cache)}") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", f"to compute it again: {resume_command(cache)}") from None
     except BindError as why:
         exit_on_errors(why.report)
         raise CommandError(ExitCode.FINDINGS) from None

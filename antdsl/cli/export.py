@@ -25,7 +25,7 @@ def _explain_no_export(to: Path) -> str:
     if str(to) == "-":
         return "an export goes into a file and not to standard output: its ending says the form, and some forms are several files"
     if to.suffix.lower() in INSTEAD:
-        return f"`{to.suffix}` is not written: write {INSTEAD[to.suffix.lower()]} (docs/exports.md#what-is-not-written)"
+        return f"`{to.suffix}` is not supported: write {INSTEAD[to.suffix.lower()]} (docs/exports.md#what-is-not-written)"
     return f"`{to.name}` is none of {', '.join(ending for each in EXPORTS for ending in each.endings)}"
 
 
@@ -51,7 +51,8 @@ def export(
         ...,
         "--to",
         metavar="FILE",
-        help="Where to: .usdc (small), .usda (text), .usd, .glb, .gltf, .geo, .csv, .npz, .ply or .obj; `####`: the frame.",
+        help="Output file: .usdc (small), .usda (text), .usd, .glb, .gltf, .geo, .csv, .npz, .ply or .obj; "
+        "`####`: the frame number.",
     ),
     form: str = typer.Option(
         None,
@@ -60,8 +61,10 @@ def export(
         show_default=False,
         help="USD: instances, xforms, meshes; .csv: keyframes, events; .npz: arrays, poses, volume, events; .ply: meshes, solids",
     ),
-    ids: str = typer.Option(None, "--ids", metavar="3,8..12", help="Only these agents. [default: all]", show_default=False),
-    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Which frames. [default: all]", show_default=False),
+    ids: str = typer.Option(
+        None, "--ids", metavar="3,8..12", help="Export only these agents. [default: all]", show_default=False
+    ),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frames to export. [default: all]", show_default=False),
     skeletons: int = typer.Option(
         None,
         "--skeletons",
@@ -76,10 +79,10 @@ def export(
         "--shutter",
         metavar="A..B",
         show_default=False,
-        help="Of USD: samples between frames, from A to B around each frame.",
+        help="USD: add samples around each frame, from A to B, for motion blur.",
     ),
     samples: int = typer.Option(
-        None, "--samples", metavar="N", min=2, max=33, show_default=False, help="How many of them. [default: 3]"
+        None, "--samples", metavar="N", min=2, max=33, show_default=False, help="Number of such samples. [default: 3]"
     ),
     chunk: int = typer.Option(
         None,
@@ -93,7 +96,7 @@ def export(
     copies: bool = typer.Option(
         None, "--copies", show_default=False, help="Of USD: agents with skeletons are no instances, as Blender needs them."
     ),
-    close: bool = typer.Option(None, "--close", show_default=False, help="Of USD: bodies as they are for close-ups."),
+    close: bool = typer.Option(None, "--close", show_default=False, help="USD: write bodies in close-up quality."),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
     no_tls: bool = NO_TLS,
@@ -117,13 +120,13 @@ def export(
     word = form if form is not None else next(iter(export.forms))
     if word not in export.forms:
         raise typer.BadParameter(
-            f"`{to.name}` cannot be written as `{word}`: there is {', '.join(export.forms)}", param_hint="--as"
+            f"`{to.name}` cannot be written as `{word}`; available: {', '.join(export.forms)}", param_hint="--as"
         )
     for part in export.barred:
         if part in to.name:
             raise typer.BadParameter(f"a `{to.suffix}` file cannot have `{part}` in its name", param_hint="--to")
     if word not in export.each and "####" in to.name:
-        words = f"`{to.name}` as `{word}` is one file of all frames: leave out `####`"
+        words = f"`{to.name}` as `{word}` is one file with all frames: leave out `####`"
         raise typer.BadParameter(words, param_hint="--to")
     between, chosen = parse_frame_range(frames), parse_number_set(ids, "--ids")
     all_options = {
@@ -137,9 +140,11 @@ def export(
     set_options = {name: value for name, value in all_options.items() if value is not None}
     for name in sorted(set_options.keys() - export.option_names(word)):
         forms = [f"`{each.endings[0]}` as `{w}`" for each in EXPORTS for w in each.forms if name in each.option_names(w)]
-        raise typer.BadParameter(f"`{to.name}` as `{word}` does not take this; {', '.join(forms)} does", param_hint=f"--{name}")
+        raise typer.BadParameter(
+            f"`{to.name}` as `{word}` does not support this option; {', '.join(forms)} does", param_hint=f"--{name}"
+        )
     if "samples" in set_options and "shutter" not in set_options:
-        raise typer.BadParameter("say when they are: `--shutter -0.25..0.25`", param_hint="--samples")
+        raise typer.BadParameter("state the range of the samples: `--shutter -0.25..0.25`", param_hint="--samples")
     if scheduler and word not in export.each:
         spread = ", ".join(f"`{each.endings[0]}`" for each in EXPORTS if each.each)
         raise typer.BadParameter(

@@ -73,7 +73,7 @@ class _Formatting:
                 self.file(path)
                 continue
             self.left += 1
-            words = f"`{path}` is a link to a file outside the folder", "name that file to lay it out"
+            words = f"`{path}` is a link to a file outside the folder", "name that file to format it"
             self.report.error("cannot-write", words[0], None, words[1])
         same = len(programs) - len(self.changed) - self.left
         word = "would change" if self.check or self.diff else "changed"

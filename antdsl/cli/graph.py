@@ -26,9 +26,11 @@ class Format(StrEnum):
 
 def graph(
     file: Path = typer.Argument(..., help="A program (.ant) or a scene (.yaml)."),
-    format: Format = typer.Option(None, "--format", help="[default: by the ending of --out, else svg]", show_default=False),
+    format: Format = typer.Option(
+        None, "--format", help="Format. [default: by the ending of --out, else svg]", show_default=False
+    ),
     out: Path = typer.Option(
-        None, "--out", metavar="FILE", help="Where it goes; `-` prints it. [default: FILE.svg here]", show_default=False
+        None, "--out", metavar="FILE", help="Output file; `-` prints it. [default: FILE.svg here]", show_default=False
     ),
     only: list[str] = typer.Option(
         [],
@@ -54,7 +56,7 @@ def graph(
     charts = _select_charts(graphs.charts(program), only)
     if not charts:
         raise CommandError(
-            ExitCode.FINDINGS, f"error: `{file}` has no species with states", "`antdsl graph` draws states and their changes"
+            ExitCode.FINDINGS, f"error: `{file}` has no species with states", "`antdsl graph` draws states and transitions"
         )
     written, report = graphs.write(charts, chosen)
     exit_on_errors(report)
@@ -76,7 +78,7 @@ def _choose_format(format: Format | None, out: Path | None) -> str:
         if out.suffix.lower() in endings:
             return name
     known = ", ".join(ending for endings, _ in FORMATS.values() for ending in endings)
-    raise typer.BadParameter(f"`{out}` ends in none of {known}: add `--format`", param_hint="--out")
+    raise typer.BadParameter(f"`{out}` has no known ending ({known}): add `--format`", param_hint="--out")
 
 
 def _select_charts(charts: tuple[Chart, ...], names: list[str]) -> tuple[Chart, ...]:

@@ -102,11 +102,13 @@ def _verify_cache(cache: Cache) -> None:
     lines, frames, checkpoints = cache.lines(), cache.frames(), cache.checkpoints()
     first, last = cache.manifest.first, cache.manifest.last
     bad, next_frame = [], first
-    strays = [f"frame {frame} is none of this cache's, {first} to {last}" for frame in frames if not first <= frame <= last]
+    strays = [
+        f"frame {frame} is outside this cache, which has {first} to {last}" for frame in frames if not first <= frame <= last
+    ]
     strays += cache.strays()
     for frame in sorted({*frames, *lines}):
         if not first <= frame <= last:
-            bad += [] if frame in frames else [f"`{HASHES}` tells of frame {frame}, which is none of this cache's"]
+            bad += [] if frame in frames else [f"`{HASHES}` lists frame {frame}, which is outside this cache"]
             continue
         if frame > next_frame:
             bad.append(
@@ -125,8 +127,8 @@ def _verify_cache(cache: Cache) -> None:
     if bad or strays:
         overflow_note = [f"… and {len(bad) - 50} more"] if len(bad) > 50 else []
         words = "\n".join([*(f"error: {why}" for why in bad[:50]), *overflow_note, *(f"error: {why}" for why in strays[:50])])
-        advice = [f"this makes again what is damaged: {resume_command(cache.folder)}"] if bad else []
-        advice += ["move away what is not of this cache"] if strays else []
+        advice = [f"to compute damaged frames again: {resume_command(cache.folder)}"] if bad else []
+        advice += ["move away files that are not of this cache"] if strays else []
         raise CommandError(ExitCode.FINDINGS, words, "\n".join(advice))
     unknown = [] if cache.manifest.static else [f"`{STATIC}`"]
     points = [str(frame) for frame in checkpoints if not lines[frame].checkpoint]

@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 OPEN, LINES = (".yaml", ".yml", ".json"), (".jsonl",)
 # Words of `antdsl render` that a job writes itself, and what to write instead.
 OWN = {
-    "frames": "write it of the job: `antdsl jobs … --frames A..B`",
-    "every": "write it of the job: `antdsl jobs … --every N`",
+    "frames": "use the option of the job: `antdsl jobs … --frames A..B`",
+    "every": "use the option of the job: `antdsl jobs … --every N`",
     "out": "write `antdsl jobs … --pictures DIR`",
     "shot": "leave it out: the job writes it",
     "resume": "leave it out: the job writes it",
@@ -38,18 +38,18 @@ def jobs(
         metavar="FILE",
         help="Where to: .yaml or .json is a template of Open Job Description, .jsonl a line a command.",
     ),
-    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Other frames than the scene's."),
-    chunk: int = typer.Option(10, "--chunk", metavar="N", min=1, max=1_000_000, help="Pictures that one task draws."),
-    every: int = typer.Option(1, "--every", metavar="N", min=1, max=1_000_000, help="Draw every so many frames."),
-    seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
-    set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frame range; overrides the scene."),
+    chunk: int = typer.Option(10, "--chunk", metavar="N", min=1, max=1_000_000, help="Pictures per task."),
+    every: int = typer.Option(1, "--every", metavar="N", min=1, max=1_000_000, help="Draw only every Nth frame."),
+    seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Seed; overrides the scene."),
+    set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Value of a param, such as forager.smell=50mm"),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     render: str = typer.Option("", "--render", metavar="'WORDS'", help="How pictures look: '--camera eye --width 1920'."),
     out: Path = typer.Option(
-        None, "--out", metavar="DIR", help="Where the cache goes. [default: out/SCENE beside the scene]", show_default=False
+        None, "--out", metavar="DIR", help="Folder of the cache. [default: out/SCENE beside the scene]", show_default=False
     ),
     pictures: Path = typer.Option(
-        None, "--pictures", metavar="DIR", help="Where pictures go. [default: pictures in the cache]", show_default=False
+        None, "--pictures", metavar="DIR", help="Folder of the pictures. [default: pictures in the cache]", show_default=False
     ),
     film: bool = typer.Option(True, "--film/--no-film", help="Make a film of the pictures at the end; needs the extra [video]."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),
@@ -119,7 +119,7 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
     for name, instead in OWN.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
-            raise typer.BadParameter(f"`--{name}` is no matter of looks; {instead}", param_hint="--render")
+            raise typer.BadParameter(f"`--{name}` does not affect how pictures look; {instead}", param_hint="--render")
     return words
 
 
@@ -130,13 +130,13 @@ def _require_template(job: Job, every: int, frames: int) -> None:
     tasks = max(len(step.chunks) for step in job.steps)
     if tasks > MOST_TASKS:
         enough = math.ceil(math.ceil(frames / every) / MOST_TASKS)
-        words = f"error: {tasks:,} tasks are more than the {MOST_TASKS:,} that a template may list"
-        raise CommandError(ExitCode.USAGE, words, f"write `--chunk {enough}`, or lines: `--to job.jsonl`")
+        words = f"error: {tasks:,} tasks are more than a template may list ({MOST_TASKS:,})"
+        raise CommandError(ExitCode.USAGE, words, f"write `--chunk {enough}`, or export lines: `--to job.jsonl`")
     for word in (word for step in job.steps for word in step.command):
         texts = (word,) if isinstance(word, str) else (word.prefix, word.suffix)
         for text in texts:
             if "{{" in text:
-                words = f"error: `{text}` has `{{{{`, with which a template names its parameters"
+                words = f"error: `{text}` has `{{{{`, which marks parameters in a template"
                 raise CommandError(ExitCode.USAGE, words, "give it another name, or write lines: `--to job.jsonl`")
 
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from antdsl.runtime.binding.world_work import WorkEstimate
     from antdsl.source import Span
 
-ANY_MEMORY: bool = typer.Option(False, "--any-memory", help="Start even where the estimate exceeds the memory available.")
+ANY_MEMORY: bool = typer.Option(False, "--any-memory", help="Start even if the estimate exceeds the available memory.")
 _SHARE = 0.8  # of what is available; the rest is for frames, kernels and other programs
 _NAMED = 3  # things that a message names
 
@@ -53,7 +53,7 @@ def require_memory(shots: Sequence[Shot], at_once: int = 1, runs: int = 1) -> No
     words = f"this needs at least {size_text(needed)}, and 80 % of what is available are "
     words += f"{size_text(int(_SHARE * available))}: {names}"
     fewer = ", fewer agents or fewer `--jobs`" if at_once > 1 and runs > 1 else " or fewer agents"
-    hint = f"use larger cells or voxels, a lighter mesh{fewer}; to try it all the same, add `--any-memory`"
+    hint = f"use larger cells or voxels, a lighter mesh{fewer}; to start anyway, add `--any-memory`"
     raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {_work_span(shots[k], largest[0])}: {words}", hint)
 
 

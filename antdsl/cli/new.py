@@ -181,7 +181,7 @@ FILES: tuple[tuple[str, str], ...] = (
 def new(folder: Path = typer.Argument(..., metavar="DIR", help="A folder that is not there yet, or is empty.")) -> None:
     """Write a small project to start from, with its specs and what checks it in CI."""
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: `{folder}` is there already and not empty", "name another folder")
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: `{folder}` already exists and is not empty", "name another folder")
     for name, text in FILES:
         path = folder / name
         make_folder(path.parent)

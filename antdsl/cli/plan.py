@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 
 def plan(
     file: Path = typer.Argument(..., help="A program (.ant) or a scene (.yaml)."),
-    raw: bool = typer.Option(False, "--raw", help="As lowered, before any pass has improved it."),
+    raw: bool = typer.Option(False, "--raw", help="Print the plan before any pass has improved it."),
     native: bool = typer.Option(
-        False, "--native", help="What of it is machine code: stages, counts of instructions, what NumPy is called for."
+        False, "--native", help="List which parts become machine code: stages, instruction counts, calls of NumPy."
     ),
-    code: bool = typer.Option(False, "--ir", help="As --native, with the machine code too, in LLVM's language."),
+    code: bool = typer.Option(False, "--ir", help="Like --native, with the machine code as LLVM IR."),
 ) -> None:
     """Print the array passes that a program became."""
     from antdsl import passes, pipeline

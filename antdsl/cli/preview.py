@@ -21,7 +21,7 @@ def preview(
     port: int = typer.Option(
         None, "--port", min=0, max=65535, help="Where to listen; 0 takes any. [default: 8765, or the next that is free]"
     ),
-    no_open: bool = typer.Option(False, "--no-open", help="Open no browser; print the address only."),
+    no_open: bool = typer.Option(False, "--no-open", help="Print the address without opening a browser."),
     seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
     set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Another value for a param: forager.smell=50mm"),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
@@ -33,7 +33,7 @@ def preview(
         help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores that it may use. Changes no result.",
     ),
     host: str = typer.Option(
-        None, "--host", metavar="HOST", help="Listen at another address than this machine's own; needs --let-others-in."
+        None, "--host", metavar="HOST", help="Listen at this address instead of this machine's own; needs --let-others-in."
     ),
     let_others_in: bool = typer.Option(
         False, "--let-others-in", help="With --host: everyone who has the address may watch and steer."
@@ -65,7 +65,7 @@ def _listen(host: str | None, port: int | None, let_others_in: bool) -> Listenin
         if not is_loopback(host) and not let_others_in:
             raise CommandError(
                 ExitCode.USAGE,
-                f"error: `--host {host}` lets other machines in",
+                f"error: `--host {host}` gives other machines access",
                 "who has the address with its token could watch this scene, read its programs and steer the run; who can\n"
                 "listen to the network could read the token. Say that it is meant with `--let-others-in`, or leave `--host`\n"
                 "out and reach this machine through `ssh -L 8765:127.0.0.1:8765`",
@@ -123,7 +123,9 @@ def _serve(live: Live, scene: Path, listening: ListeningSockets, *, open_it: boo
                 "Other machines can reach this: who has the address with its token can watch the scene, read its programs\n"
                 "and steer the run, and can read and write no other file. What goes over the network is not encrypted."
             )
-        waiting = "" if live.report.ok else f" {scene} has mistakes: the page shows them, and the ants come once they are mended."
+        waiting = (
+            "" if live.report.ok else f" {scene} has errors: the page shows them, and the ants appear once you correct them."
+        )
         print_note(f"Ctrl-C ends it.{waiting}")
         if open_it:
             _open_browser(f"{listening.addresses[0]}#{guard.invite()}")

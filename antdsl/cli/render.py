@@ -54,9 +54,9 @@ def render(
     frames: str = typer.Option(
         None, "--frames", metavar="A..B", help="Which frames. [default: the last; all with --film]", show_default=False
     ),
-    every: int = typer.Option(None, "--every", min=1, metavar="N", help="Every so many frames."),
+    every: int = typer.Option(None, "--every", min=1, metavar="N", help="Draw only every Nth frame."),
     sheet: bool = typer.Option(False, "--sheet", help="One picture with several frames on it, and the last frame as a picture."),
-    film: bool = typer.Option(False, "--film", help="An .mp4; needs the extra [video]."),
+    film: bool = typer.Option(False, "--film", help="Make an .mp4 film; needs the extra [video]."),
     show: str = typer.Option(
         "trail",
         "--show",
@@ -80,7 +80,7 @@ def render(
         help="The scene's own; one that fits the crowd; one from above; one straight above, at one scale; one at an agent's eye "
         "level; one close to it.",
     ),
-    blur: float = typer.Option(0.0, "--blur", min=0.0, max=1.0, metavar="SHARE", help="Motion blur: the share of a frame."),
+    blur: float = typer.Option(0.0, "--blur", min=0.0, max=1.0, metavar="SHARE", help="Motion blur, as a share of a frame."),
     least: float = typer.Option(
         None,
         "--least",
@@ -90,7 +90,9 @@ def render(
         help="Draw shorter agents so long. [default: 7, up to three times their size]",
         show_default=False,
     ),
-    marks: float = typer.Option(0.0, "--marks", min=0.0, max=200.0, metavar="PIXELS", help="Discs so wide instead of agents."),
+    marks: float = typer.Option(
+        0.0, "--marks", min=0.0, max=200.0, metavar="PIXELS", help="Draw agents as discs of this diameter."
+    ),
     full: list[str] = typer.Option(
         [], "--full", metavar="FIELD=VALUE", help="The strength at the end of a field's scale of colours.", show_default=False
     ),
@@ -153,10 +155,11 @@ def render(
         with raise_on_sigterm():
             if scheduler:
                 if sheet and not film:
-                    raise typer.BadParameter("a sheet has so few pictures that it is drawn here", param_hint="--scheduler")
+                    raise typer.BadParameter("a sheet has few pictures, so it is drawn on this machine", param_hint="--scheduler")
                 if film and resume:
                     raise typer.BadParameter(
-                        "a film cannot be resumed on a cluster; draw its frames there, `--shot A..B --resume`, then it here",
+                        "a film cannot be resumed on a cluster; draw its frames there with "
+                        "`--shot A..B --resume`, then the film here",
                         param_hint="--resume",
                     )
                 existing_frames = [frame for frame in drawn if resume and stills.read_still(frame) is not None]
@@ -176,7 +179,7 @@ def render(
                 _write_stills(pictures, stills)
     except KeyboardInterrupt as why:
         advice = "the same command with `--resume` draws the others"
-        raise CommandError(stop_exit_code(why), "stopped: pictures that are there are whole", advice) from None
+        raise CommandError(stop_exit_code(why), "stopped: all written pictures are complete", advice) from None
 
 
 def _parse_cut(text: str | None) -> Cut | None:
@@ -184,7 +187,7 @@ def _parse_cut(text: str | None) -> Cut | None:
 
     cut = Cut.of(text) if text is not None else None
     if text is not None and cut is None:
-        raise typer.BadParameter(f"`{text}` is no plane such as `z > 0` or `x < -12.5`", param_hint="--cut")
+        raise typer.BadParameter(f"`{text}` is not a plane such as `z > 0` or `x < -12.5`", param_hint="--cut")
     return cut
 
 
@@ -194,7 +197,7 @@ def _parse_window(text: str) -> Window:
     window = Window.of(text)
     if window is None:
         raise typer.BadParameter(
-            f"`{text}` is no window of seconds such as `1..2`, {MOST_SECONDS:g} at most", param_hint="--window"
+            f"`{text}` is not a range of seconds such as `1..2`, of at most {MOST_SECONDS:g}", param_hint="--window"
         )
     return window
 
@@ -208,7 +211,7 @@ def _parse_strengths(texts: list[str]) -> dict[str, float]:
         except ValueError:
             strengths[name.strip()] = 0.0
         if not 0 < strengths[name.strip()] < float("inf"):
-            raise typer.BadParameter(f"`{text}` is no field and strength such as `trail=20`", param_hint="--full")
+            raise typer.BadParameter(f"`{text}` is not a field with a strength, such as `trail=20`", param_hint="--full")
     return strengths
 
 
@@ -243,7 +246,7 @@ def _choose_frames(gallery: Gallery, between: Any, every: int | None, sheet: boo
         raise CommandError(
             ExitCode.USAGE,
             f"error: {len(cache_frames)} pictures do not fit on a sheet",
-            f"ask for at most {MOST}: a larger `--every`",
+            f"use a larger `--every`, for at most {MOST} pictures",
         )
     if sheet and not film:
         steps = min(SHEET, len(cache_frames))
@@ -280,7 +283,7 @@ def _draw_frames(
             drawer = drawer or Drawer(gallery, settings, together, threads)
             yield frame, drawer.draw(frame), True
     except CacheError as why:
-        advice = f"this makes damaged frames again: {resume_command(gallery.cache.folder)}"
+        advice = f"to compute damaged frames again: {resume_command(gallery.cache.folder)}"
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", advice) from None
     except NoPicture as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "run the scene again into another folder") from None

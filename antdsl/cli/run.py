@@ -44,7 +44,7 @@ class OnFault(StrEnum):
 
 def run(
     scenes: list[Path] = typer.Argument(
-        ..., metavar="SCENE…", help="A scene.yaml; several are run at a time, each independently."
+        ..., metavar="SCENE…", help="A scene (.yaml); several scenes run in parallel, each independently."
     ),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Other frames than the scene's."),
     seed: int = typer.Option(None, "--seed", min=0, max=2**64 - 1, help="Another seed than the scene's."),
@@ -53,7 +53,7 @@ def run(
         None,
         "--out",
         metavar="DIR",
-        help="Where the cache goes; of several scenes a folder for each in it. [default: out/SCENE beside the scene]",
+        help="Folder of the cache; with several scenes, it has a folder for each. [default: out/SCENE beside the scene]",
         show_default=False,
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
@@ -64,7 +64,7 @@ def run(
         max=256,
         help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores that it may use. Changes no result.",
     ),
-    chunk: int = typer.Option(16_384, "--chunk", min=1, max=10_000_000, help="Agents worked on at once. Changes no result."),
+    chunk: int = typer.Option(16_384, "--chunk", min=1, max=10_000_000, help="Agents per chunk. No result changes."),
     summary: Path = typer.Option(None, "--summary", metavar="FILE", help="Write counts, speeds and measures as JSON."),
     resume: bool = typer.Option(False, "--resume", help="Go on with the cache of an earlier run that was stopped."),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
@@ -80,7 +80,7 @@ def run(
     ),
     on_fault: OnFault = typer.Option(OnFault.stop, "--on-fault", help="What follows when an agent gets a number that is none."),
     profile: bool = typer.Option(
-        False, "--profile", help="Tell at the end what the time went to: phases, layers, lines. Changes no result."
+        False, "--profile", help="Report at the end where the time went: phases, layers, lines. No result changes."
     ),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
@@ -227,7 +227,7 @@ def _begin_recording(
     except PathBlocked as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
     except DifferentInputs as why:
-        advice = "give the same inputs again, or run without `--resume` to begin again"
+        advice = "restore the same inputs, or run without `--resume` to start again"
         raise CommandError(ExitCode.FINDINGS, f"error: {why}", advice) from None
     except DifferentHashes as why:
         raise CommandError(ExitCode.FINDINGS, f"error: {why}", "run without `--resume` to begin again") from None
@@ -262,7 +262,7 @@ def _record_to_end(recording: Recording, quiet: bool, again: str) -> None:
     except FolderLocked as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
     except LimitStop as why:
-        words = f"mend the program; the frames before are in {recording.folder}"
+        words = f"correct the program; the earlier frames are in {recording.folder}"
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", words) from None
     except FaultStop as why:
         raise CommandError(

@@ -30,14 +30,14 @@ SCHEDULER: Any = typer.Option(
     None,
     "--scheduler",
     metavar="ADDRESS",
-    help="Run on a Dask cluster: `local` starts one here, tls://HOST:8786 uses one that is there; needs the extra [cluster].",
+    help="Run on a Dask cluster: `local` starts one here, tls://HOST:8786 uses a running one; needs the extra [cluster].",
     show_default=False,
 )
 TLS: Any = typer.Option(
     None,
     "--tls",
     metavar="DIR",
-    help="For a scheduler that is there: the folder with ca.pem, cert.pem and key.pem.",
+    help="For a running scheduler: the folder with ca.pem, cert.pem and key.pem.",
     show_default=False,
 )
 NO_TLS: Any = typer.Option(
@@ -144,7 +144,7 @@ def _require_certificates(folder: Path) -> None:
     authority, certificate, key = (folder / name for name in TLS_FILES)
     for certificate_file, words in (
         (authority, "is no certificate"),
-        (certificate, "and `key.pem` are no certificate and its key"),
+        (certificate, "and `key.pem` are not a certificate with its key"),
     ):
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
         try:
@@ -219,6 +219,6 @@ def run_cache_tasks(
                 else:
                     yield answered
     except WorkersLost as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "the same command makes all frames again") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "the same command computes all frames again") from None
     if failed:
-        raise CommandError(ExitCode.FINDINGS, "error: the frames that failed are not written")
+        raise CommandError(ExitCode.FINDINGS, "error: the failed frames are missing")

@@ -125,5 +125,5 @@ def _cache_folders(scenes: Sequence[Path], out: Path | None) -> list[Path]:
     ]
     twice = [folder for number, folder in enumerate(folders) if folder in folders[:number]]
     if twice:
-        raise typer.BadParameter(f"two scenes would be put into `{twice[0]}`; run them apart", param_hint="SCENE")
+        raise typer.BadParameter(f"two scenes have the same folder `{twice[0]}`; run them separately", param_hint="SCENE")
     return folders

@@ -49,12 +49,12 @@ class DesignWord(StrEnum):
 @report_failures("the sweep stopped", "the same command goes on with the runs that are left, and so does `--resume`")
 def sweep(
     context: typer.Context,
-    scenes: list[Path] = typer.Argument(None, metavar="SCENE…", help="Scenes; each is a line of the table."),
+    scenes: list[Path] = typer.Argument(None, metavar="SCENE…", help="Scenes; the table has a line for each."),
     vary: list[str] = typer.Option(
         [],
         "--vary",
         metavar="NAME=A,B,C",
-        help="Values of a param: forager.smell=30mm,50mm, or all between two: 30mm..90mm. Several make all combinations.",
+        help="Values of a param: forager.smell=30mm,50mm, or a range: 30mm..90mm. Several params give all combinations.",
     ),
     design: DesignWord = typer.Option(
         DesignWord.grid,
@@ -63,19 +63,21 @@ def sweep(
         "Morris' trajectories, which tell how much each param matters.",
     ),
     points: int = typer.Option(
-        None, "--points", metavar="N", min=2, max=1_000_000, help="How many points a design has.", show_default=False
+        None, "--points", metavar="N", min=2, max=1_000_000, help="Number of points of a design.", show_default=False
     ),
-    design_seed: int = typer.Option(SEED, "--design-seed", metavar="N", min=1, max=2**31 - 1, help="Another draw of a design."),
-    seeds: str = typer.Option("5", "--seeds", metavar="N", help="Run each with the seeds 1 to N, or with A..B."),
+    design_seed: int = typer.Option(
+        SEED, "--design-seed", metavar="N", min=1, max=2**31 - 1, help="Seed of the design's random draws."
+    ),
+    seeds: str = typer.Option("5", "--seeds", metavar="N", help="Run each combination with the seeds 1 to N, or A..B."),
     jobs: int = typer.Option(
         0, "--jobs", min=0, max=256, help="Runs at a time; 0 takes all cores that it may use. Changes no result."
     ),
     out: Path = typer.Option(
-        None, "--out", metavar="DIR", help="Where the table goes. [default: out/sweep beside the first scene]", show_default=False
+        None, "--out", metavar="DIR", help="Folder of the table. [default: out/sweep beside the first scene]", show_default=False
     ),
-    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Other frames than the scenes'."),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frame range; overrides the scenes."),
     until: list[str] = typer.Option(
-        [], "--until-empty", metavar="NAME", help="End a run once this is all gone: food.load, food.apple.load."
+        [], "--until-empty", metavar="NAME", help="End a run once this amount is used up: food.load, food.apple.load."
     ),
     until_known: list[str] = typer.Option(
         [],
@@ -87,13 +89,13 @@ def sweep(
     show: list[str] = typer.Option([], "--show", metavar="NAME", help="Measures of the table, by the beginning of their name."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant scenes a folder of assets outside their own."),
     resume: bool = typer.Option(
-        False, "--resume", help="Continue the sweep in --out with its options. The same command does that too."
+        False, "--resume", help="Continue the sweep in --out with its own options. Repeating its command does the same."
     ),
-    again: bool = typer.Option(False, "--again", help="Run everything again, also what was finished before."),
+    again: bool = typer.Option(False, "--again", help="Run everything again, including finished runs."),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
     no_tls: bool = NO_TLS,
-    plots: bool = typer.Option(True, "--plots/--no-plots", help="Draw the table too, where matplotlib is installed."),
+    plots: bool = typer.Option(True, "--plots/--no-plots", help="Draw the table as well, if matplotlib is installed."),
     any_memory: bool = ANY_MEMORY,
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print the table and problems only."),
 ) -> None:

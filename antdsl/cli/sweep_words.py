@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def nothing() -> list[str]:
     """That no scene is named."""
-    raise typer.BadParameter("name a scene, or go on with a sweep: `--resume --out DIR`", param_hint="SCENE")
+    raise typer.BadParameter("name a scene, or continue a sweep: `--resume --out DIR`", param_hint="SCENE")
 
 
 # Options that define the runs: a sweep that is continued has stored them.
@@ -47,13 +47,13 @@ def load_request(context: typer.Context, out: Path | None) -> SweepRequest:
     for name, words in _DECIDES.items():
         source = context.get_parameter_source(name)
         if source is not None and source.name == "COMMANDLINE":
-            raise typer.BadParameter(f"it continues with its own options: leave out {words}", param_hint="--resume")
+            raise typer.BadParameter(f"the sweep continues with its own options: leave out {words}", param_hint="--resume")
     if out is None:
         raise typer.BadParameter("say which sweep goes on: `--resume --out DIR`", param_hint="--resume")
     try:
         return read_request(out)
     except NoSweep as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "begin one: `antdsl sweep SCENE… --out DIR`") from None
+        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "start one: `antdsl sweep SCENE… --out DIR`") from None
 
 
 def build_study(request: SweepRequest) -> tuple[Study, list[Job], Report]:
@@ -116,11 +116,11 @@ def parse_widths(request: SweepRequest) -> list[WidthGoal]:
     for name, text in parse_pairs(request.until_known, "--until-known").items():
         number = re.fullmatch(r"([0-9]*\.?[0-9]+)\s*(%?)", text, re.ASCII)
         if number is None or not float(number[1]):
-            words = f"`{text}` is no width: write `{name}=0.5`, or a share of the median: `{name}=10%`"
+            words = f"`{text}` is not a width: write `{name}=0.5`, or a share of the median: `{name}=10%`"
             raise typer.BadParameter(words, param_hint="--until-known")
         widths.append(WidthGoal(name, float(number[1]) * (0.01 if number[2] else 1.0), bool(number[2])))
     if widths and len(_parse_seeds(request.seeds)) < least_runs():
-        words = f"no median is known of fewer than {least_runs()} runs: write `--seeds 50`, which is how many at most"
+        words = f"a median needs at least {least_runs()} runs: write `--seeds 50`, the maximum number of runs"
         raise typer.BadParameter(words, param_hint="--until-known")
     return widths
 
@@ -129,5 +129,5 @@ def _parse_seeds(text: str) -> range:
     match = re.fullmatch(r"([0-9]{1,6})(?:\.\.([0-9]{1,6}))?", text.strip())
     first, last = (1, int(match[1])) if match and match[2] is None else (int(match[1]), int(match[2])) if match else (1, 0)
     if not match or last < first:
-        raise typer.BadParameter(f"`{text}` is no number of seeds: write N, or A..B", param_hint="--seeds")
+        raise typer.BadParameter(f"`{text}` is not a number of seeds: write N, or A..B", param_hint="--seeds")
     return range(first, last + 1)

@@ -25,17 +25,21 @@ if TYPE_CHECKING:
 
 
 def test(
-    paths: list[Path] = typer.Argument(..., help="Programs (.ant), scenes (.yaml) or folders. Folders are searched."),
+    paths: list[Path] = typer.Argument(..., help="Programs (.ant), scenes (.yaml), or folders to search."),
     named: str = typer.Option("", "-k", metavar="NAME", help="Only specs with this in their name."),
     seeds: int = typer.Option(None, "--seeds", metavar="N", min=1, max=1000, help="Run each spec with the seeds 1 to N."),
     junit: Path = typer.Option(None, "--junit", metavar="FILE", help="Write the results as JUnit XML, for build servers."),
     json: Path = typer.Option(None, "--json", metavar="FILE", help="Write the results and the coverage as JSON."),
     keep: Path = typer.Option(
-        None, "--keep", metavar="DIR", help="Where failures are saved. [default: out/failed beside the scene]", show_default=False
+        None,
+        "--keep",
+        metavar="DIR",
+        help="Folder for saved failures. [default: out/failed beside the scene]",
+        show_default=False,
     ),
     no_keep: bool = typer.Option(False, "--no-keep", help="Save no failures."),
-    update: bool = typer.Option(False, "--update", help="Keep these runs as golden ones; later runs are held against them."),
-    whole: bool = typer.Option(False, "--coverage", help="List all states and changes, with how often each was met."),
+    update: bool = typer.Option(False, "--update", help="Store these runs as golden runs; later runs are compared with them."),
+    whole: bool = typer.Option(False, "--coverage", help="List all states and transitions, with how often each was reached."),
     under: float = typer.Option(
         None, "--fail-under", metavar="N", min=0, max=100, help="Fail if less than N % of the states and changes were met."
     ),
@@ -44,7 +48,9 @@ def test(
         0, "--threads", min=0, max=256, help="Threads for rays, kernels and NumPy's chunks; 0 takes all cores that it may use."
     ),
     backend: Backend = typer.Option(
-        Backend.native, "--backend", help="As of `run`; `reference` is slow and plain: one agent at a time. Changes no verdict."
+        Backend.native,
+        "--backend",
+        help="Like in `run`; `reference` is slow but simple: one agent at a time. No verdict changes.",
     ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but failures and how many there are."),
 ) -> None:

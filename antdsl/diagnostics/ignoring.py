@@ -93,7 +93,7 @@ def apply_ignores(
                 if looked and (source.path, ignore.line, code) not in warned_places:
                     _warn_idle(result, ignore, code, span)
             if not ignore.codes:
-                result.warning("ignored-nothing", "this comment names no code", ignore.span, "write `ignore[CODE] why`")
+                result.warning("ignored-nothing", "this comment has no code", ignore.span, "write `ignore[CODE] why`")
     return result
 
 

@@ -37,7 +37,7 @@ def decode_reports(data: bytes) -> tuple[dict[Path, Report], list[Source]]:
         }
         return reports, [table[index] for index in document["sources"]]
     except (KeyError, IndexError, TypeError) as problem:
-        raise ValueError("these are no reports") from problem
+        raise ValueError("these are not reports") from problem
 
 
 def _source_number(source: Source, numbers: dict[Source, int]) -> int:

@@ -120,7 +120,7 @@ class Cluster:
         unfit = {}
         for address, has in worker_identities.items():
             if isinstance(has, BaseException):
-                unfit[address] = f"worker {address} cannot run this antdsl, so it is given nothing: {has}"
+                unfit[address] = f"worker {address} cannot run this antdsl, so it gets no tasks: {has}"
             elif has["sources"] != sources():
                 unfit[address] = explain_mismatch(address, has, sources())
         if worker_identities and len(unfit) == len(worker_identities):
@@ -237,9 +237,9 @@ class Cluster:
             try:
                 part = self._client.run(read_part, self.name, file, start, workers=[worker])[worker]
             except (OSError, KeyError) as why:
-                raise WorkersLost(f"worker {worker} is gone: {why}") from None
+                raise WorkersLost(f"worker {worker} was lost: {why}") from None
             if not part:
-                raise WorkersLost(f"`{file}` of worker {worker} ends before its size")
+                raise WorkersLost(f"`{file}` of worker {worker} is shorter than expected")
             start += len(part)
             yield part
 

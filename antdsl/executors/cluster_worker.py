@@ -53,7 +53,7 @@ class Project(WorkerPlugin):  # type: ignore[misc]
         except (OSError, TaskRefused) as why:
             words = str(why) if isinstance(why, TaskRefused) else f"its disk: {(why.strerror or str(why)).lower()}"
             worker.log_event(
-                self.name, {"refused": f"worker {worker.address} has not got the files, so it is given nothing: {words}"}
+                self.name, {"refused": f"worker {worker.address} does not have the files, so it gets no tasks: {words}"}
             )
             return
         files = folder / "files"
@@ -102,7 +102,7 @@ def perform_on_worker(work: Work, text: str, name: str, key: str, attempt: int) 
     dask_worker = get_worker()
     project = dask_worker.plugins.get(name)
     if project is None or project.worker is None:
-        raise TaskRefused(f"worker {dask_worker.address} has not got the files")
+        raise TaskRefused(f"worker {dask_worker.address} does not have the files")
     said = time.monotonic()
 
     def report_frame(frame: int) -> None:
@@ -123,7 +123,7 @@ def read_part(name: str, file: str, start: int) -> bytes:
     folder = Path(get_worker().local_directory) / name / "made"
     path = (folder / file).resolve()
     if not path.is_relative_to(folder.resolve()):
-        raise TaskRefused(f"`{file}` is none of the files that a task made")
+        raise TaskRefused(f"`{file}` is not one of the files that a task wrote")
     with open_bounded(path, MADE_BYTES, follow=False) as handle:
         handle.seek(start)
         return handle.read(PART_BYTES)

@@ -78,7 +78,7 @@ class Processes:
 def _describe_end(code: int | None) -> str:
     if code is not None and code < 0:
         name = signal.Signals(-code).name if -code in {s.value for s in signal.Signals} else str(-code)
-        reason = ", most likely for want of memory" if name == "SIGKILL" else ""
+        reason = ", most likely because memory ran out" if name == "SIGKILL" else ""
         return f"its process was ended by {name}{reason}"
     return f"its process ended with code {code}"
 

@@ -86,7 +86,7 @@ class CacheHistory:
 
     def difference_error(self, frame: int) -> ExplainError:
         return ExplainError(
-            f"frame {frame} comes out otherwise than `{self.cache.folder}` has it",
+            f"frame {frame} is computed differently than `{self.cache.folder}` has it",
             "it was written by another version, or by `antdsl test` with a spec's own settings: run the scene again",
         )
 
@@ -111,13 +111,13 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
         raise ExplainError(words, "only caches of `antdsl run` can be explained")
     if manifest.state_hash != STATE_HASH:
         words = f"`{cache.folder}` was written by an antdsl that hashes states in another way"
-        raise ExplainError(words, "run the scene again: then a step that is done again can be held against the cache")
+        raise ExplainError(words, "run the scene again: then repeated steps can be compared with the cache")
     params = {name.removeprefix(_SET): text for name, text in manifest.inputs.items() if name.startswith(_SET)}
     choices = Choices(grants or {}, FrameRange(manifest.first, manifest.last), manifest.seed, params)
     shot, report = open_scene(path, choices)
     if shot is None or not report.ok:
-        other = "" if scene is not None else f"if `{path}` is not its scene, say which: `--scene FILE`"
-        raise ExplainError(f"`{path}` does not check", other, report=report)
+        other = "" if scene is not None else f"if `{path}` is not its scene, name the right one: `--scene FILE`"
+        raise ExplainError(f"`{path}` has errors", other, report=report)
     try:
         now = {**shot.inputs, **start_hash(shot)}
     except StartError as why:
@@ -126,7 +126,7 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     different = sorted(name for name in {**then, **now} if then.get(name) != now.get(name))
     if different:
         names = ", ".join(f"`{name}`" for name in different[:5])
-        other = "" if scene is not None else f"; if `{path}` is not its scene, say which: `--scene FILE`"
+        other = "" if scene is not None else f"; if `{path}` is not its scene, name the right one: `--scene FILE`"
         raise ExplainError(
             f"the cache was made from other inputs: {names}",
             f"an explanation needs the texts that the run was made with: put them back, or run the scene again{other}",
@@ -144,6 +144,6 @@ def _find_scene(cache: Cache) -> Path:
     for path in (*([then] if then is not None else []), *near):
         if path.is_file():
             return path
-    was = f", nor where it was from there: `{cache.manifest.scene_path}`" if then is not None else ""
+    was = f", nor at its earlier place: `{cache.manifest.scene_path}`" if then is not None else ""
     words = f"the scene `{name}` of `{cache.folder}` is not near it{was}"
-    raise ExplainError(words, "say where it is: `--scene FILE`", usage=True)
+    raise ExplainError(words, "name it: `--scene FILE`", usage=True)

@@ -51,10 +51,10 @@ def _require_species(cache: Cache, requested_species: str | None) -> str:
     if requested_species is None:
         if len(names) == 1:
             return names[0]
-        raise ExplainError(f"`{cache.folder}` has more than one species", f"say which with `--species`: {listed}", usage=True)
+        raise ExplainError(f"`{cache.folder}` has more than one species", f"name one with `--species`: {listed}", usage=True)
     near = nearest_name(requested_species, names)
     raise ExplainError(
-        f"no species `{requested_species}`", f"did you mean `{near}`?" if near else f"there is {listed}", usage=True
+        f"no species `{requested_species}`", f"did you mean `{near}`?" if near else f"the species are: {listed}", usage=True
     )
 
 
@@ -82,7 +82,7 @@ def _require_alive(
     if alive is None:
         raise ExplainError(f"no {species} {agent}", _describe_agents(cache, species, agent, frame), usage=True)
     if not any(s.first <= frame - 1 <= s.last for s in stretches):
-        when = f"{species} {agent} is there from frame {alive[0]} to {alive[1]}"
+        when = f"{species} {agent} exists from frame {alive[0]} to {alive[1]}"
         if frame <= alive[0]:
             raise ExplainError(
                 f"{species} {agent} had not decided anything by frame {frame}", f"{when}: its first step leads to {alive[0] + 1}",
@@ -114,7 +114,7 @@ def absence_error(replay: Replay, species: str, agent: int, frame: int) -> Expla
     if row >= 0:
         return ExplainError(
             f"{species} {agent} was set aside after a fault, and did nothing in the step to frame {frame}",
-            "`antdsl run` reported the value that was no number",
+            "`antdsl run` reported the value that was not a number",
         )
     ids = population.ids
     range_text = f"there are {len(ids)}, from {int(ids.min())} to {int(ids.max())}" if len(ids) else "none lives"

@@ -112,7 +112,7 @@ def shot_job(shot: Shot, name: str) -> Job:
     ]
     if shot.film:
         film = (*draw, "--film", "--frames", between, *look, "--resume")
-        steps.append(Step("film", "The pictures become a film; one that is missing is drawn", film, ("frames",), (), 30))
+        steps.append(Step("film", "The pictures become a film; missing pictures are drawn first", film, ("frames",), (), 30))
     return Job(name, (project, *roots, cache, pictures), tuple(steps))
 
 

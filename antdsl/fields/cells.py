@@ -35,7 +35,7 @@ class FieldTooFine(ValueError):
     was allocated."""
 
     def __init__(self, needed: int, cap: int, in_a_row: bool = False) -> None:
-        super().__init__(f"about {needed:,} cells are needed and {cap:,} are allowed; a larger `cell` needs fewer")
+        super().__init__(f"about {needed:,} cells are needed, but only {cap:,} are allowed; increase `cell`")
         self.needed, self.cap, self.in_a_row = needed, cap, in_a_row
 
 

@@ -64,7 +64,7 @@ def lay_out(charts: Sequence[Chart]) -> tuple[tuple[PlacedChart, ...], Report]:
     except ImportError:
         report.error(
             "missing-extra",
-            "pictures of state machines need the package graphlay",
+            "diagrams of state machines need the package graphlay",
             None,
             'run `pip install "antdsl[graph]"`, or write `--format mermaid` or `--format dot`',
         )

@@ -80,7 +80,7 @@ def _event(key: Key) -> str | None:
 
 
 def _element(key: Key) -> str | None:
-    return markdown(key[-1], "one of the set, each in turn")
+    return markdown(key[-1], "one element of the set at a time")
 
 
 def _describe_built_in(key: Key) -> str | None:
@@ -194,7 +194,7 @@ def _steered(key: Key) -> str | None:
 
 def _colour(key: Key) -> str | None:
     red, green, blue = COLOURS[key[1]]
-    return markdown(f'state rest "At rest" {key[1]} {{ … }}', f"a colour of a state: {red}, {green}, {blue} of 255")
+    return markdown(f'state rest "At rest" {key[1]} {{ … }}', f"a colour for states: {red}, {green}, {blue} of 255")
 
 
 LANGUAGE: dict[str, Rule] = {
@@ -252,7 +252,7 @@ def explain_word(word: str) -> str | None:
         if node.name.text == word:
             text = markdown(f"behaviour {signature(node)}", node.help.text if node.help else "", f"`use {brings}`")
             meanings.append(
-                (f"a behaviour of the library `{brings}`", f"{text}\n\nIt is written so:\n\n```ant\n{node.span.text}\n```")
+                (f"a behaviour of the library `{brings}`", f"{text}\n\nIts definition:\n\n```ant\n{node.span.text}\n```")
             )
     if word in library_names():
         names = ", ".join(f"`{node.name.text}`" for brings, node in _library() if brings == word)

@@ -92,7 +92,7 @@ def main() -> int:
     targets = list(shipped.TARGETS)
     if host and not why:
         own = shipped.target_name(machine.host())
-        why = "" if own else f"this machine ({machine.host().triple}, {machine.host().cpu}) is none of {', '.join(targets)}"
+        why = "" if own else f"this machine ({machine.host().triple}, {machine.host().cpu}) is not one of {', '.join(targets)}"
         targets = [own] if own else []
     if why:
         print(f"kernels are not compiled in advance, but when they are first used: {why}", file=sys.stderr)

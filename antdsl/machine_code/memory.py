@@ -53,7 +53,7 @@ def address(array: NDArray[Any]) -> int:
     except (TypeError, ValueError):  # read-only, empty, or not in one piece
         pass
     if not array.flags.c_contiguous:
-        raise ValueError("machine code reads arrays that lie in one piece")
+        raise ValueError("machine code needs contiguous arrays")
     location: int = array.ctypes.data
     return location
 

@@ -62,7 +62,7 @@ CODE: Final = StoreKind(
     ".object",
     "compiled code",
     "is",
-    "code is only run where a private key signs it",
+    "code is only run if a private key signs it",
     "one program",
     "each run compiles it again",
     "it is compiled again",
@@ -279,8 +279,8 @@ def _describe_problem(problem: OSError | ValueError) -> str:
     if isinstance(problem, NotRegular):
         return f"it is {problem.kind}"
     if isinstance(problem, OSError):
-        return problem.strerror or "the system refuses it"
-    return "no folder has such a name"  # one with a zero character
+        return problem.strerror or "the system denies access"
+    return "no folder can have this name"  # one with a zero character
 
 
 def _quote(path: Path) -> str:

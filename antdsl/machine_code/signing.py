@@ -80,7 +80,7 @@ def signer(*, create: bool) -> Signer | None:
 def _read_key(path: Path) -> bytes:
     secret = read_private(path, _KEY_BYTES)
     if len(secret) != _KEY_BYTES:
-        raise OSError(0, "it has another length")
+        raise OSError(0, "its length is wrong")
     return secret
 
 

@@ -125,7 +125,7 @@ class Table:
             size = column.itemsize
             step = size if column.ndim == 1 and column.flags.c_contiguous else column.strides[0]
             if size < 4 and step != size:
-                raise ValueError("a column of fewer than four bytes a value lies in one piece")
+                raise ValueError("a column of fewer than four bytes per value must be contiguous")
             for offset in (0,) if column.ndim == 1 else [column.strides[1] * part for part in range(column.shape[1])]:
                 if size == 8:
                     words.append((CONTIGUOUS if step == size else STRIDED, [(k, offset, step)]))

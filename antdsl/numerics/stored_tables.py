@@ -32,7 +32,7 @@ KIND: Final = object_cache.StoreKind(
     ".tables",
     "tables of meshes",
     "are",
-    "they are only used where a private key signs them",
+    "tables are only used if a private key signs them",
     "one mesh",
     "each run computes them again",
     "they are computed again",

@@ -72,10 +72,10 @@ def _read_orientations(cache: Cache, number: int) -> FrameOrientations:
     arrays: Arrays = cache.frame(number, frozenset(("id", "orient", "species")))
     orient, ids = arrays.get("orient"), arrays.get("id")
     if orient is None or ids is None or ids.ndim != 1 or orient.shape != (len(ids), 4):
-        raise CacheError(f"`{frame_path(cache.folder, number)}` has no ids and orientations that go together")
+        raise CacheError(f"`{frame_path(cache.folder, number)}` has no matching ids and orientations")
     species = arrays.get("species", np.zeros(len(ids), np.int16))
     if species.shape != ids.shape:
-        raise CacheError(f"`{frame_path(cache.folder, number)}` has no species for each agent")
+        raise CacheError(f"`{frame_path(cache.folder, number)}` does not have a species for each agent")
     key = ids.astype(np.int64) * max(len(cache.manifest.species), 1) + species.astype(np.int64)
     return FrameOrientations(key, orient.astype(np.float64))
 

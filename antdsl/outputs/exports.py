@@ -68,7 +68,7 @@ INSTEAD = {
     ".abc": "`.usdc` with `--as meshes`",
     ".bclip": "`.glb`",
     ".bgeo": "`.geo`",
-    ".fbx": "`.glb`, of which Blender makes an .fbx file",
+    ".fbx": "`.glb`, which Blender can convert to .fbx",
     ".vdb": "`.npz` with `--as volume`",
 }
 

@@ -85,7 +85,7 @@ class _Crowd:
             agents = sum(len(body.colour) for body in bodies.values())
             if agents > _AGENTS or size > _BYTES:
                 many = f"{agents:,} agents with joints" if agents > _AGENTS else f"more than {_BYTES >> 20} MiB of keys"
-                raise NoExport(f"glTF is for small crowds: these are {many}", f"{FEWER}, or write USD: `.usdc`")
+                raise NoExport(f"glTF is for small crowds, but this one has {many}", f"{FEWER}, or write USD: `.usdc`")
         return output
 
     def _add(self, key: Worn, body: _Body, crowd: Crowd, number: int) -> None:

@@ -170,7 +170,7 @@ class Stage:
         moving, first = self._solids[solid.name]
         turn, move, off = _fit_rigid(first, vertices)
         if off > _RIGID * max(float(np.ptp(first, axis=0).max()), 1e-12):
-            self.add_note(f"`{solid.name}` changes its shape, and is written as it is in frame {self.frames[0]}")
+            self.add_note(f"`{solid.name}` changes its shape; only its shape in frame {self.frames[0]} is written")
             return
         moving.frames.append(frame)
         moving.moves.append(move)
@@ -213,7 +213,7 @@ class Stage:
             self._keys(moving.node, np.array(moving.frames), np.array(moving.moves), None, np.array(moving.sizes))
         for name, solid in self._dug.items():
             self.body(self._world, name, self._mesh(name, solid.vertices, solid.faces, None), None)
-            self.add_note(f"`{name}` is written as it is in frame {self.frames[-1]}")
+            self.add_note(f"`{name}` is written as in frame {self.frames[-1]}")
         if self.gallery.manifest.fields:
             self.add_note("fields are left out")
         if self._channels:

@@ -97,7 +97,7 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
         except DifferentInputs as why:
             raise _with_choices(shot, inputs, why) from None
         if intact is None and any((folder / "frames").glob("frame.*.npz")):
-            raise NothingToResume(f"`{folder}` has frames and no readable manifest")
+            raise NothingToResume(f"`{folder}` has frames but no readable manifest")
     prepare_folder(folder, force=force)
     began = time.perf_counter()
     world = bind(shot.plan, shot.setting, options)
@@ -105,7 +105,7 @@ def begin(shot: Shot, folder: Path, options: Options, *, resume: bool, force: bo
     recording.add_time("bind", began)
     if intact is not None:
         if intact.cache.manifest.origin != scene_origin(world):
-            raise NothingToResume(f"`{folder}` was written by an antdsl that counts places from another origin")
+            raise NothingToResume(f"`{folder}` was written by an antdsl version that measures positions from a different origin")
         _resume(recording, intact, options)
     if recording.resumed_from is None:
         start_from_cache(shot, recording.world)
@@ -156,9 +156,9 @@ def _resume(recording: Recording, intact: IntactPart, options: Options) -> None:
         notes.append(f"{why}; it is written again")
     beyond = [frame for frame in intact.cache.frames() if frame > shot.frames.last]
     if beyond:
-        which = f"frame {beyond[0]} lies" if len(beyond) == 1 else f"{len(beyond)} frames, {beyond[0]} to {beyond[-1]}, lie"
+        which = f"frame {beyond[0]} is" if len(beyond) == 1 else f"{len(beyond)} frames, {beyond[0]} to {beyond[-1]}, are"
         notes.append(f"{which} beyond frame {shot.frames.last}, the last, and {'is' if len(beyond) == 1 else 'are'} removed")
-    recording.notes = notes + [f"{why}; it is left as it is" for why in intact.cache.strays()]
+    recording.notes = notes + [f"{why}; it is left unchanged" for why in intact.cache.strays()]
 
 
 def _damaged_checkpoints(recording: Recording, cache: Cache, lines: Mapping[int, Line], limit: int) -> Iterator[str]:

@@ -18,7 +18,7 @@ from antdsl.outputs.numbered_files import NoExport, numbered_path
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import write_atomically
 
-_NONE = NoExport("the scene has no solid that could be dug", "`kind: solid` of a mesh in `world` makes one")
+_NONE = NoExport("the scene has no solid that agents can dig", "`kind: solid` of a mesh in `world` makes one")
 
 
 def export_solids(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
@@ -53,7 +53,7 @@ def export_volumes(gallery: Gallery, frames: Iterable[int], path: Path) -> list[
         bricks = volume.bricks
         points = int(np.prod([8 * int(n) for n in bricks.shape], dtype=np.float64))
         if points * 4 > limits.GIB:
-            raise NoExport(f"the volume of `{name}` has {points:,} points, more than are written", "write it as a mesh: `.ply`")
+            raise NoExport(f"the volume of `{name}` has {points:,} points, more than the limit", "write it as a mesh: `.ply`")
         arrays |= {
             f"{name}.distance": volume.dense_distances() * np.float32(scale),
             f"{name}.origin": (np.asarray(bricks.origin, np.float64) + offset) * scale + gallery.origin,

@@ -85,7 +85,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
     try:
         restore(world, state_arrays)
     except CheckpointError as why:
-        words = f"frame {start.frame} of `{start.cache}` is not of these programs: {why}"
+        words = f"frame {start.frame} of `{start.cache}` belongs to different programs: {why}"
         raise _error(shot, "wrong-value", words, "cache", "begin with a cache of the same programs") from None
     shift = first - world.frame
     world.frame = first
@@ -99,7 +99,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
         population.born = population.born + shift
         footed = world.ground.position(population.footing)
         if len(footed) and np.abs(footed - population.position).max() > _SAME_PLACE:
-            words = f"the agents of `{start.cache}` stand on other meshes than this scene's"
+            words = f"the agents of `{start.cache}` stand on different meshes than this scene's"
             raise _error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes, in the same order")
 
 
@@ -112,7 +112,7 @@ def _missing(shot: Shot, folder: Path) -> StartError:
         return _error(shot, "no-such-file", str(why), "cache", "name the folder of a cache below the scene's own")
     near = sorted(checkpoints, key=lambda frame: abs(frame - start.frame))[:3]
     help = "write one of " + ", ".join(map(str, sorted(near))) if near else "run the other scene first"
-    return _error(shot, "no-such-file", f"`{start.cache}` has no whole checkpoint at frame {start.frame}", "frame", help)
+    return _error(shot, "no-such-file", f"`{start.cache}` has no intact checkpoint at frame {start.frame}", "frame", help)
 
 
 def _error(shot: Shot, code: str, message: str, key: str, help: str | None) -> StartError:

@@ -22,7 +22,7 @@ def pack(slot: str, arrays: Mapping[str, NDArray[Any]], **header: Any) -> bytes:
     types = {name: f"{array.dtype.kind}{array.dtype.itemsize}" for name, array in little.items()}
     for name, kind in types.items():
         if kind not in _TYPES:
-            raise TypeError(f"`{name}` is {little[name].dtype}, which no packet has")
+            raise TypeError(f"`{name}` is {little[name].dtype}, which packets do not support")
 
     def text(start: int) -> tuple[bytes, int]:
         """Return the header for arrays that begin at `start`, and the end offset of the arrays."""

@@ -345,7 +345,7 @@ class Live:
             client.tell({"op": "refused", "of": ask.op, "message": why.message, "help": why.help})
         except Exception:
             traceback.print_exc(file=sys.stderr)
-            client.tell({"op": "refused", "of": ask.op, "message": _BUG, "help": "what was there before runs on"})
+            client.tell({"op": "refused", "of": ask.op, "message": _BUG, "help": "the earlier simulation continues"})
         self.screen.on_action()
 
     def _try_to_open(self) -> None:

@@ -90,7 +90,7 @@ def changed_files_text(old: Shot, new: Shot) -> str:
     ]
     others = {name for name in old.inputs.keys() & new.inputs.keys() if old.inputs[name] != new.inputs[name]}
     differences += sorted(name for name in others if name not in new_texts and Path(name).suffix)  # meshes and such
-    differences += [f"{name} is gone" for name in old_texts if name not in new_texts]
+    differences += [f"{name} was removed" for name in old_texts if name not in new_texts]
     remainder = f" and {len(differences) - _NAMED} more" if len(differences) > _NAMED else ""
     return ", ".join(differences[:_NAMED]) + remainder
 

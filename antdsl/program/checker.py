@@ -163,7 +163,7 @@ def _check_spec_names(declared: Declared, file: FileNames) -> None:
     for spec in (item for item in file.node.items if isinstance(item, nodes.Spec)):
         if spec.name.text in first:
             declared.report.error(
-                "duplicate-name", f"two specs are called {quote_source(spec.name.span)}", spec.name.span, "give one another name",
+                "duplicate-name", f"two specs are called {quote_source(spec.name.span)}", spec.name.span, "rename one of them",
                 labels=(Label(first[spec.name.text], "first here"),),
             )  # fmt: skip
         first.setdefault(spec.name.text, spec.name.span)

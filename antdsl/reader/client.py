@@ -68,7 +68,7 @@ class _Process:
             said = read_message(self.answers, 0).document.get("active")
             names = ("rlimits", "landlock", "seccomp")
             if not isinstance(said, dict) or not all(type(said.get(name)) is int for name in names):
-                raise ProtocolError("the reader did not report what confines it")
+                raise ProtocolError("the reader did not report its sandbox limits")
             self.active = {name: said[name] for name in names}
         return self.active
 

@@ -52,7 +52,7 @@ class Message:
         if found is None or found.dtype != np.dtype(dtype) or found.ndim != len(shape):
             raise ProtocolError(f"`{name}` is not an array of the requested type")
         if any(want is not None and want != have for want, have in zip(shape, found.shape, strict=True)):
-            raise ProtocolError(f"`{name}` has not the requested shape")
+            raise ProtocolError(f"`{name}` does not have the requested shape")
         return found
 
     def indices(self, name: str, dtype: str, count: int, *shape: int | None, lowest: int = 0) -> NDArray[Any]:
@@ -83,7 +83,7 @@ class Message:
         if len(lengths) and (lengths.min() < 0 or lengths.max() > len(blob)):
             raise ProtocolError(f"`{name}` has a length that is out of range")
         if int(lengths.sum()) != len(blob) or len(lengths) > limits.AGENTS:
-            raise ProtocolError(f"`{name}` has not as many bytes as its lengths say")
+            raise ProtocolError(f"`{name}` does not have as many bytes as its lengths state")
         data, ends = blob.tobytes(), np.cumsum(lengths).tolist()
         try:
             return tuple(data[end - size : end].decode() for end, size in zip(ends, lengths.tolist(), strict=True))
@@ -123,13 +123,13 @@ def read_message(file: IO[bytes], most: int) -> Message:
     """Return the next message; its arrays have at most `most` bytes together. Raises ProtocolError for anything else."""
     magic, length = _PREFIX.unpack(_read_bytes(file, _PREFIX.size).tobytes())
     if magic != MAGIC or length > limits.READER_HEADER_BYTES:
-        raise ProtocolError("a message begins with other bytes")
+        raise ProtocolError("a message begins with the wrong bytes")
     try:
         header = json.loads(_read_bytes(file, length).tobytes(), parse_constant=_refuse_constant)
     except (ValueError, RecursionError):
         raise ProtocolError("the header of a message is not JSON") from None
     if not isinstance(header, dict) or not isinstance(header.get("document"), dict) or not isinstance(header.get("arrays"), list):
-        raise ProtocolError("the header of a message has not the keys of one")
+        raise ProtocolError("the header of a message has the wrong keys")
     plan = [_parse_entry(entry) for entry in header["arrays"]]
     if len(plan) > _ARRAYS or sum(size for *_, size in plan) > most or len({name for name, *_ in plan}) != len(plan):
         raise ProtocolError("a message has more or larger arrays than are accepted")
@@ -148,7 +148,7 @@ def _parse_entry(entry: object) -> tuple[str, str, tuple[int, ...], int]:
     if not isinstance(name, str) or dtype not in DTYPES or not isinstance(shape, list) or len(shape) > _AXES:
         raise ProtocolError("an array is announced in another form")
     if not all(isinstance(side, int) and not isinstance(side, bool) and 0 <= side < 1 << 40 for side in shape):
-        raise ProtocolError("an array is announced with sides that no array has")
+        raise ProtocolError("an array is described with invalid dimensions")
     return name, dtype, tuple(shape), prod(shape) * np.dtype(dtype).itemsize
 
 

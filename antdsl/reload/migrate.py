@@ -223,8 +223,8 @@ def migration_line(migration: Migration) -> str:
     several = len(migration.species) > 1
     for migrated in migration.species:
         parts += _species(migrated, f"{migrated.species}." if several else "")
-    parts += [f"{count:,} more of `{name}`" for name, count in migration.joined.items()]
-    parts += [f"{count:,} of `{name}` gone" for name, count in migration.removed.items()]
+    parts += [f"{count:,} `{name}` added" for name, count in migration.joined.items()]
+    parts += [f"{count:,} `{name}` removed" for name, count in migration.removed.items()]
     parts += _names_phrase(migration.items, "has its amount from the scene", "have their amounts from the scene")
     parts += _names_phrase([f"field {name}" for name in migration.fields], "starts again", "start again")
     parts += _names_phrase([f"solid {name}" for name in migration.solids], "is whole", "are whole")
@@ -238,7 +238,7 @@ def _species(migrated: MigratedSpecies, of: str) -> list[str]:
         for (removed_state, start), count in sorted(migrated.restarts.items())
     ]
     parts += _names_phrase([of + _state_text(name) for name in migrated.states], "is a new state", "are new states")
-    parts += _names_phrase([of + _state_text(name) for name in migrated.lost], "is a state no more", "are states no more")
+    parts += _names_phrase([of + _state_text(name) for name in migrated.lost], "is a state no more", "are no longer states")
     if migrated.moved:
         parts.append(
             f"{migrated.moved:,} {_agent_word(migrated.moved)} moved with the ground"
@@ -248,7 +248,9 @@ def _species(migrated: MigratedSpecies, of: str) -> list[str]:
     parts += _names_phrase(
         [of + name for name in migrated.other], "has another type and starts again", "have other types and start again"
     )
-    parts += _names_phrase([of + name for name in _primary_names(migrated.rewritten)], "is as written now", "are as written now")
+    parts += _names_phrase(
+        [of + name for name in _primary_names(migrated.rewritten)], "is as written now", "have their new values"
+    )
     parts += _names_phrase([of + name for name in migrated.removed_attributes], "is gone", "are gone")
     if migrated.forgotten:
         parts.append(f"{migrated.forgotten} {'memory' if migrated.forgotten == 1 else 'memories'} forgotten")

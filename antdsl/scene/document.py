@@ -100,7 +100,7 @@ def decode(data: bytes, name: str, what: str = "a scene") -> tuple[Source, Repor
     source = Source(name, text)
     bad = _FORBIDDEN.search(text)
     if bad:
-        message = f"the character U+{ord(bad[0]):04X} cannot stand in {what}, it would not show"
+        message = f"the character U+{ord(bad[0]):04X} is not allowed in {what}: it is invisible"
         help = "start a new line there" if bad[0] in "\x85\u2028\u2029\x0b\x0c" else "delete it"
         report.error("control-character", message, Span(source, bad.start(), bad.end()), help)
     return source, report
@@ -161,7 +161,7 @@ class _Reader:
         return root
 
     def depth_refusal(self, span: Span) -> _DocumentRefused:
-        return self.refuse("too-large", f"values lie more than {limits.YAML_DEPTH} deep in each other", span)
+        return self.refuse("too-large", f"values are nested more than {limits.YAML_DEPTH} levels deep", span)
 
     def report_odd_blank(self, match: re.Match[str]) -> None:
         """Report the first character that looks like a blank and is not one."""
@@ -171,9 +171,9 @@ class _Reader:
         is_blank = unicodedata.category(character) == "Zs"
         message = f"{unicodedata.name(character).lower()} (U+{ord(character):04X})"
         count = len(_ODD_BLANK.findall(self.source.text))
-        help = "type a blank in its place" if is_blank else "delete it"
+        help = "type a space instead" if is_blank else "delete it"
         help += f"; the file has {count} such characters" if count > 1 else ""
-        help += "; a name that has one stands in quotes"
+        help += "; if a name contains one, put the name in quotes"
         place = Span(self.source, match.start(), match.end())
         self.report.error("odd-blank", f"{message} in place of a blank" if is_blank else f"{message} does not show", place, help)
 
@@ -290,9 +290,7 @@ class _Reader:
                     self.report.add(comma_diagnostic(number))
                     continue
             if key.text == "<<":
-                self.report.error(
-                    "yaml-alias", "merges are not supported", key.span, "write the values out where they are needed"
-                )
+                self.report.error("yaml-alias", "merges are not supported", key.span, "repeat the values where they are needed")
                 continue
             other = folded.get(key.text.lower())
             if other is not None:

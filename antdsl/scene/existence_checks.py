@@ -29,7 +29,7 @@ def bodies(scene: Scene, program: Program, report: Report) -> None:
         known = scene.model.crowd[earlier].body
         if known != line.body:
             report.error(
-                "wrong-value", f"`{line.species}` has another body above", place,
+                "wrong-value", f"`{line.species}` has another body in a line above", place,
                 f"write `{known}` in both, or make it another species",
                 labels=(Label(scene.span("crowd", earlier, "body"), "the first one"),),
             )  # fmt: skip

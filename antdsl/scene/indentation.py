@@ -150,7 +150,7 @@ def _find_block_end(text: str, line: _Line) -> int:
 
 
 def _blank_text(count: int) -> str:
-    return "no blank" if not count else f"{count} blank{'s' if count > 1 else ''}"
+    return "no blank" if not count else f"{count} space{'s' if count > 1 else ''}"
 
 
 def _find_line_end(text: str, start: int) -> int:
@@ -204,7 +204,7 @@ def explain_missing_colon(source: Source, start: int) -> Diagnostic | None:
         text = source.line_text(number)
         bare = text.lstrip()
         begin = _find_line_start(source, number) + len(text) - len(bare)
-        for pattern, lack in ((_GLUED, "no blank behind `{}:`"), (_NO_COLON, "no `:` behind `{}`")):
+        for pattern, lack in ((_GLUED, "no space after `{}:`"), (_NO_COLON, "no `:` behind `{}`")):
             match = pattern.fullmatch(bare)
             if match is None or _KEY.match(bare.removeprefix("- ").lstrip()):
                 continue

@@ -45,7 +45,7 @@ def _read_parent(
         report.error("wrong-value", "expected the name of a scene here", node.span, f"write `{KEY}: base.yaml`")
         return None
     if "/" in text or "\\" in text:
-        words = f"`{text[:80]}` does not lie beside this scene"
+        words = f"`{text[:80]}` is not next to this scene"
         report.error("bad-path", words, node.span, "put it into this folder and write its name alone")
         return None
     if text in scene_names:
@@ -54,7 +54,7 @@ def _read_parent(
         report.error("circle", words, node.span, "remove the inheritance from one of them")
         return None
     if len(scene_names) > limits.USE_DEPTH:
-        report.error("too-deep", f"more than {limits.USE_DEPTH} scenes extend each other", node.span, "join some of them")
+        report.error("too-deep", f"`extends` is nested more than {limits.USE_DEPTH} scenes deep", node.span, "merge some of them")
         return None
     scene_names.append(text)
     try:

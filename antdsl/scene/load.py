@@ -128,8 +128,8 @@ def _find_outdented(document: MappingNode) -> dict[Key, Diagnostic]:
         source = first.source
         text = source.text[first.start : last.end].replace("\n", "\n  ")
         diagnostic = Diagnostic(
-            "scene-syntax", f"`{inner[0]}` stands at the left edge, and `{name}:` has nothing below it", first,
-            help=f"begin the lines below `{name}:` with 2 blanks",
+            "scene-syntax", f"`{inner[0]}` is at the left edge, but `{name}:` has nothing below it", first,
+            help=f"begin the lines below `{name}:` with 2 spaces",
             fix=Fix(Span(source, first.start, last.end), f"  {text}"),
         )  # fmt: skip
         diagnostics |= dict.fromkeys((name, *inner), diagnostic)

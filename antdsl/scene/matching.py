@@ -104,7 +104,7 @@ def _check_thing(scene: Scene, program: Program, report: Report, name: str, thin
     if isinstance(value, MeshThing | UsdThing):
         if thing.kind == "solid" and value.voxel is None:
             report.error(
-                "missing-key", f"`{name}` is solid, and nothing says how fine", scene.span("world", name),
+                "missing-key", f"`{name}` is solid, but no `voxel` is given", scene.span("world", name),
                 "add the edge of its voxels, a fourth of a body or less: `voxel: 1 mm`",
             )  # fmt: skip
         if thing.kind != "solid" and value.voxel is not None:
@@ -114,7 +114,7 @@ def _check_thing(scene: Scene, program: Program, report: Report, name: str, thin
             )  # fmt: skip
         if value.scale == 0 or abs(value.scale) < 1e-6:
             place = scene.span("world", name, "scale")
-            report.error("wrong-value", "a scale of nothing leaves no mesh", place, "write `scale: 1`")
+            report.error("wrong-value", "a scale of 0 leaves no mesh", place, "write `scale: 1`")
         elif value.scale < 0:
             place, help = scene.span("world", name, "scale"), "its faces are turned so that outside stays outside"
             report.warning("mirrored", f"the mesh of `{name}` is mirrored", place, help)
@@ -153,7 +153,7 @@ def _check_item_keys(scene: Scene, report: Report, name: str, thing: WorldThing,
     keys = [key for key in ("each", "kind", "turn", *unseen) if key in value.model_fields_set]
     if thing.kind != "items":
         for key in keys:
-            words = f"`{key}` is for {'what is seen' if key in unseen else 'items'}, and `{name}` is a {thing.kind}"
+            words = f"`{key}` is for {'what is seen' if key in unseen else 'items'}, but `{name}` is a {thing.kind}"
             report.error("wrong-kind", words, scene.span("world", name, key, key=True), "delete it")
         return
     declared = {a.name: a.type for a in thing.attributes}
@@ -162,12 +162,14 @@ def _check_item_keys(scene: Scene, report: Report, name: str, thing: WorldThing,
     axes = value.turn if isinstance(value.turn, tuple) else ()
     for number, attribute in enumerate(axes or ([] if value.turn is None else [str(value.turn)])):
         place: tuple[Key, ...] = ("world", name, "turn", number) if axes else ("world", name, "turn")
-        expected_dimension, words = (Dim(), "is a part of a direction, without unit") if axes else (Dim(angle=1), "is an angle")
+        expected_dimension, words = (
+            (Dim(), "is a component of a direction, without a unit") if axes else (Dim(angle=1), "is an angle")
+        )
         if attribute not in declared:
             _report_unknown(report, scene, place, f"`{name}` has no attribute", declared, key=False)
         elif declared[attribute].dim != expected_dimension:
             has = dimension_words(declared[attribute].dim)
-            message = f"what `turn` gives `{attribute}` {words}, and `{attribute}` of `{name}` is {has}"
+            message = f"what `turn` gives `{attribute}` {words}, but `{attribute}` of `{name}` is {has}"
             help = f"declare `{attribute} = 0`" if axes else f"declare `{attribute} = 0 deg`"
             report.error("wrong-unit", message, scene.span(*place), help)
 
@@ -239,7 +241,7 @@ def _check_around(scene: Scene, report: Report, around: object, radius: object, 
         _report_unknown(report, scene, (*path, "around"), "no item is named", item_names(scene), key=False)
     if around is not None and radius is None:
         at = scene.span(*path, "around", key=True)
-        report.error("missing-key", "`around` says nothing without `radius`", at, "add `radius: 50 mm`")
+        report.error("missing-key", "`around` has no effect without `radius`", at, "add `radius: 50 mm`")
 
 
 def _check_placement(scene: Scene, program: Program, report: Report, place: Placement, *path: Key) -> None:
@@ -362,7 +364,7 @@ def _check_layers(scene: Scene, program: Program, report: Report) -> None:
             left = [text for text in texts if not any(text.startswith(line.strip()) for line in scene.model.layers[name])]
             advice = "add " + ", ".join(f"`{text}`" for text in left) if left else None
             report.error(
-                "missing-thing", f"the order of the layers of `{name}` is not complete", scene.span("layers", name), advice
+                "missing-thing", f"the order of the layers of `{name}` is incomplete", scene.span("layers", name), advice
             )
 
 

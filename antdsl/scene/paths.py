@@ -113,7 +113,7 @@ class Roots:
         zeros to as many digits. Raises PathRefused if there is none, or if the path is rejected."""
         named = _SEQUENCE.fullmatch(text)
         if named is None:
-            raise _make_refusal(text, "has `#` outside of its file's name, or in two places", "write `walls.####.ply`")
+            raise _make_refusal(text, "has `#` outside its file name, or in two places", "write `walls.####.ply`")
         root, parts = self.locate(f"{named[1]}{0:0{len(named[2])}d}{named[3]}")
         start = parts[-1][: len(parts[-1]) - len(named[2]) - len(named[3])]
         files_by_frame = {}
@@ -190,7 +190,7 @@ def _split_path(text: str, rest: str) -> tuple[str, ...]:
         if not part:
             raise _make_refusal(text, "has a `/` with no name before or after it", inside)
         if part[-1] in ". " or part[0] == " ":
-            where = "begins with a blank" if part[0] == " " else f"ends with a {'dot' if part[-1] == '.' else 'blank'}"
+            where = "begins with a space" if part[0] == " " else f"ends with a {'dot' if part[-1] == '.' else 'blank'}"
             raise _make_refusal(text, f"has a name that {where}, which Windows drops", f"rename `{part}`")
         if part.split(".")[0].rstrip(" ").lower() in _DEVICES:
             raise _make_refusal(text, "names a device", f"rename `{part}`: Windows has a device of that name")
@@ -278,7 +278,7 @@ def _names_below(root: Path, parts: tuple[str, ...], display_path: str) -> list[
     if os.open not in os.supports_dir_fd or not hasattr(os, "O_NOFOLLOW"):
         full_path = root.joinpath(*parts)
         if not full_path.resolve().is_relative_to(root.resolve()) or not full_path.is_dir():
-            raise _make_refusal(display_path, "leaves its folder by a link, or names none", None)
+            raise _make_refusal(display_path, "leaves its folder by a link, or is not a folder", None)
         return os.listdir(full_path)
     folder = _folder_below(root, parts, display_path)
     try:

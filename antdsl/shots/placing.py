@@ -99,7 +99,7 @@ def _fetch(answer: dict[str, Any], source: Any, folder: Path) -> None:
     for name, size, digest in answer["files"]:
         path, left = (root / name).resolve(), left - size
         if not path.is_relative_to(root) or left < 0:
-            raise TaskRefused(f"a worker made `{name}` of {size:,} bytes, which does not go into `{folder}`")
+            raise TaskRefused(f"a worker made `{name}` of {size:,} bytes, which does not fit in `{folder}`")
         make_folder(path.parent)
         hashed = hashlib.blake2b(digest_size=16)
         with atomic_file(path) as file:
@@ -107,7 +107,7 @@ def _fetch(answer: dict[str, Any], source: Any, folder: Path) -> None:
                 hashed.update(data)
                 file.write(data)
             if hashed.hexdigest() != digest:
-                raise WorkersLost(f"`{name}` did not arrive as it was made")
+                raise WorkersLost(f"`{name}` changed during the transfer")
     fetcher.forget(answer["worker"], answer["made"])
 
 

@@ -104,7 +104,7 @@ class FailureSaver:
         first = max(failure_point.first_frame, failure_point.frame - 1)
         look = f"antdsl render {folder_text} --frames {first}..{failure_point.frame}{agents}"
         same = failure_point.hash is None or last_hash == failure_point.hash
-        note = "" if same else "what was saved came out differently, which is a mistake of antdsl"
+        note = "" if same else "the saved run gave other results, which is a bug in antdsl"
         return SavedFrames(
             folder, note, failure_point.first_frame, failure_point.frame, look, f"{again} --out {folder_text} --resume"
         )

@@ -90,9 +90,9 @@ class Judge:
         lost = when is not None and observation.frame - self.first >= when
         if lost:
             line.why = f"in the other run it was so after {self._seconds_text(when or 0)}"
-            line.why += ", no later than here" if holds else ", and here not yet"
+            line.why += ", no later than here" if holds else ", but not here yet"
         elif not holds and observation.final:
-            lost, line.why = True, "the run is over, and in the other run it was not so either"
+            lost, line.why = True, "the run is over, and it did not hold in the other run either"
         line.open = not holds
         return observation.ids if lost else observation.ids[:0]
 

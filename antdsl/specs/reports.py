@@ -165,7 +165,7 @@ def _junit_case(suite: ElementTree.Element, case: Case) -> None:
     if case.outcome == "waiting":
         ElementTree.SubElement(testcase, "skipped", message="stopped before it was finished")
     elif case.outcome == "allowed":
-        ElementTree.SubElement(testcase, "skipped", message="failed, and enough of the other seeds passed")
+        ElementTree.SubElement(testcase, "skipped", message="failed, but enough other seeds passed")
     elif case.failures:
         text = "\n".join(line for failure in case.failures for line in describe_failure(failure))
         if case.saved_frames is not None and case.saved_frames.folder is not None:

@@ -48,7 +48,7 @@ def run_cases(runs: Iterable[Run], work: Work) -> None:
             for problem in why.report.errors:
                 _fail_cases(run, Failure(problem.message, problem.span))
         except (OSError, MemoryError) as why:
-            _fail_cases(run, Failure(f"the run came to an end: {why or type(why).__name__}".lower(), None))
+            _fail_cases(run, Failure(f"the run was aborted: {why or type(why).__name__}".lower(), None))
         finally:
             for world in work.worlds:
                 work.messages |= dict.fromkeys(world.backend.messages())

@@ -94,7 +94,7 @@ def describe_counts(cases: Sequence[Case], mistakes: int, goldens: Sequence[Gold
     phrases += [f"{numbers['waiting']} not finished"] if numbers["waiting"] else []
     differ = sum(result.outcome == "differs" for result in goldens)
     phrases += [f"{differ} golden run{'s' if differ > 1 else ''} differ{'' if differ > 1 else 's'}"] if differ else []
-    phrases += [f"{mistakes} mistake{'s' if mistakes > 1 else ''} in files"] if mistakes else []
+    phrases += [f"{mistakes} error{'s' if mistakes > 1 else ''} in files"] if mistakes else []
     return ", ".join(phrases)
 
 

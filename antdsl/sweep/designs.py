@@ -122,12 +122,14 @@ def _check_fit(design: Design, factors: Sequence[Factor], points: int | None, re
             low, high = factor.ends()
             middle = factor.at(0.5)
             advice = f"write `--vary {factor.name}={low},{middle},{high}`, or choose points within: `--design latin --points 20`"
-            report.error("wrong-value", f"a grid takes values one by one, and `{factor.name}` is a range", None, advice)
+            report.error("wrong-value", f"a grid needs separate values, but `{factor.name}` is a range", None, advice)
         if points is not None:
-            report.error("wrong-value", "a grid has as many points as its values make", None, f"leave out `--points {points}`")
+            report.error(
+                "wrong-value", "a grid has as many points as its values have combinations", None, f"leave out `--points {points}`"
+            )
         if most > limits.SWEEP_POINTS:
             words = f"these values make {most:,} combinations, and more than {limits.SWEEP_POINTS:,} are not run"
-            report.error("too-large", words, None, "choose among them: `--design latin --points 100`")
+            report.error("too-large", words, None, "sample them: `--design latin --points 100`")
         return
     if not factors:
         advice = "write what to vary: `--vary forager.smell=30mm..90mm`"
@@ -136,18 +138,20 @@ def _check_fit(design: Design, factors: Sequence[Factor], points: int | None, re
     if points is None:
         usual = 64 if design.power_of_two else 20
         report.error(
-            "missing-argument", f"{said} does not know how many {design.counted}", None, f"write `{said[1:-1]} --points {usual}`"
+            "missing-argument", f"{said} needs the number of {design.counted}", None, f"write `{said[1:-1]} --points {usual}`"
         )
         return
     for factor in factors:
         if factor.levels and design.ranges_only:
             first, last = factor.levels[0], factor.levels[-1]
             advice = f"write its ends: `--vary {factor.name}={first}..{last}`"
-            report.error("wrong-value", f"{said} steps along ranges, and `{factor.name}` has values one by one", None, advice)
+            report.error("wrong-value", f"{said} steps along ranges, but `{factor.name}` has separate values", None, advice)
     if design.power_of_two and points & (points - 1):
         near = 1 << points.bit_length()
         advice = f"write `--points {near}` or `--points {near >> 1}`"
-        report.error("wrong-count", f"a Sobol sequence fills space evenly at powers of 2, and {points} is none", None, advice)
+        report.error(
+            "wrong-count", f"a Sobol sequence fills space evenly only at powers of 2, but {points} is not one", None, advice
+        )
     most = points * (1 if design.points_per_unit is None else len(factors) + design.points_per_unit)
     if most > limits.SWEEP_POINTS:
         words = f"{said} with `--points {points}` has {most:,} points, and more than {limits.SWEEP_POINTS:,} are not run"

@@ -73,8 +73,8 @@ def _parse_range(name: str, text: str, report: Report) -> Factor | None:
     said = f"`--vary {name}={text}`"
     first, last = (_END.fullmatch(end) for end in (text.split("..") if text.count("..") == 1 else ("", "")))
     if first is None or last is None or "," in text:
-        usual = f"write `--vary {name}=30mm..90mm`, or values one by one: `--vary {name}=30mm,60mm`"
-        report.error("wrong-value", f"{said} is no range from one number to another", None, usual)
+        usual = f"write `--vary {name}=30mm..90mm`, or separate values: `--vary {name}=30mm,60mm`"
+        report.error("wrong-value", f"{said} is not a range of two numbers", None, usual)
         return None
     unit = last[2]
     if first[2] not in ("", unit):

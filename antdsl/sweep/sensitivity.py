@@ -93,7 +93,7 @@ def _elementary_effects(shares: Numbers, values: Numbers) -> EffectColumns:
 
 SOBOL_INDICES = Analysis("Sobol indices: the share of the variance that a factor makes", "total", "total_95", _sobol_indices)
 ELEMENTARY_EFFECTS = Analysis(
-    "Elementary effects: what a measure changes by over a factor's whole range", "mu_star", "mu_star_95", _elementary_effects
+    "Elementary effects: the change of a measure over a factor's whole range", "mu_star", "mu_star_95", _elementary_effects
 )
 
 

@@ -84,7 +84,7 @@ class SweepRequest(BaseModel):
     @classmethod
     def _check_paths(cls, words: list[str]) -> list[str]:
         if any("\0" in word for word in words):
-            raise ValueError("no path has a null character")
+            raise ValueError("a path cannot contain a null character")
         return words
 
     def write(self, folder: Path) -> None:
@@ -103,7 +103,7 @@ def read_request(folder: Path) -> SweepRequest:
     try:
         request = SweepRequest.model_validate_json(read_bounded(folder / NAME, limits.MIB))
     except OSError:
-        raise NoSweep(f"`{folder}` has no sweep to go on with") from None
+        raise NoSweep(f"`{folder}` has no sweep to continue") from None
     except ValidationError:
         raise NoSweep(f"`{folder / NAME}` is damaged") from None
     roots = [f"{name}={_resolve_path(path, folder)}" for name, _, path in (word.partition("=") for word in request.root)]

@@ -72,7 +72,7 @@ class _Parentheses:
         tokens = self.scan.tokens
         if text in ("(", "[") and not self.open and self.opens_block(index):
             first = token_text(self.scan, tokens[self.line_start(index)])
-            message = f"`{first}` with `{text}` in place of `{{`"
+            message = f"`{first}` has `{text}` instead of `{{`"
             self.scan.error("missing-brace", message, token.start, token.end, "write `{`", "{")
             self.scan.replace(token.start, "{")
         elif text in ("(", "["):

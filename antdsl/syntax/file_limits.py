@@ -42,7 +42,7 @@ def report_too_many(scanned: Scan, lines: list[Line]) -> bool:
     for entries, most, what in (*counts, (scanned.tokens, limits.TOKENS, "words, numbers and signs")):
         if len(entries) > most:
             words = f"{len(entries):,} {what} in one file, at most {most:,} are allowed"
-            help = "move a part of them into another file, and write `use NAME`"
+            help = "move some of them to another file, and write `use NAME`"
             scanned.error("too-many", words, entries[most].start, entries[most].end, help)
             return True
     return False

@@ -72,7 +72,7 @@ def _advise(kind: str) -> str:
 
 def _read_file(name: str, handle: int | None, report: Report) -> bytes | None:
     if "\0" in name:
-        report.error("cannot-read", "file name with a zero character in it", None, "name a `.ant` file")
+        report.error("cannot-read", "file name contains a null character", None, "name a `.ant` file")
         return None
     try:
         return read_handle(open_regular(name) if handle is None else handle, limits.ANT_FILE_BYTES)
@@ -82,7 +82,7 @@ def _read_file(name: str, handle: int | None, report: Report) -> bytes | None:
         report.error("cannot-read", f"`{name}` is {why.kind}", None, "name a `.ant` file")
     except OSError as error:
         reason = (error.strerror or "unknown reason").lower()
-        report.error("cannot-read", f"cannot read `{name}`: {reason}", None, "check the name and your right to read it")
+        report.error("cannot-read", f"cannot read `{name}`: {reason}", None, "check the name and your permission to read it")
     return None
 
 

@@ -76,7 +76,7 @@ def knots_of(definition: Definition, name: str) -> tuple[list[Shape], NDArray[np
         for each, weight in zip(between.shapes, between.weights, strict=True):
             if any(abs(weight - other) < _LEAST_APART for other in (0.0, *(known for known, _ in pairs))):
                 raise ValueError(
-                    f"in-between `{each}` of shape `{name}` has weight {weight:g}: 0 is the base's, 1 its own, each is there once"
+                    f"in-between `{each}` of shape `{name}` has weight {weight:g}; use values other than 0 and 1, each once"
                 )
             pairs.append((weight, definition.shapes[each]))
     pairs.sort(key=lambda pair: pair[0])

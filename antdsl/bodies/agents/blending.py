@@ -56,13 +56,13 @@ class ClipTree:
     def __post_init__(self) -> None:
         count = len(self.modes)
         if len(self.groups) != len(self.layers) or len(self.parents) != count:
-            raise ValueError("each clip has a layer and a transform group, and each layer a mode and a parent")
+            raise ValueError("each clip needs a layer and a transform group, and each layer a mode and a parent")
         if any(mode not in (INTERPOLATE, ADDITIVE, OVER) for mode in self.modes):
             raise ValueError(f"the mode of a layer is {INTERPOLATE} (interpolate), {ADDITIVE} (additive) or {OVER} (over)")
         if any(not 0 <= layer < count for layer in self.layers):
             raise ValueError(f"a clip is an input of no layer: they are numbered from 0 to {count - 1}")
         if any(not NO_PARENT <= parent < count for parent in self.parents):
-            raise ValueError(f"the parent of a layer is one of 0 to {count - 1}, or {NO_PARENT} for the topmost")
+            raise ValueError(f"the parent of a layer is a number from 0 to {count - 1}, or {NO_PARENT} for the topmost layer")
         if self.parents.count(NO_PARENT) != 1:
             raise ValueError(f"{self.parents.count(NO_PARENT)} layers have the parent {NO_PARENT}; it is the topmost one alone")
         for layer in range(count):
@@ -70,7 +70,7 @@ class ClipTree:
             while above != NO_PARENT:
                 above, depth = self.parents[above], depth + 1
                 if depth > count:
-                    raise ValueError(f"layer {layer} is an input of itself, by the parents {self.parents}")
+                    raise ValueError(f"layer {layer} is its own ancestor, with the parents {self.parents}")
 
     @property
     def root(self) -> int:
@@ -154,7 +154,7 @@ def _check_shapes(playing: Playing) -> None:
     for name, least in (("clips", slots), ("times", slots), ("weights", slots), ("layer_weights", layers)):
         shape = getattr(playing, name).shape
         if len(shape) != 2 or shape[0] != n or shape[1] < least:
-            raise ValueError(f"`{name}` of {n} agents is {shape} where [{n}, {least} or more] is needed")
+            raise ValueError(f"`{name}` of {n} agents has the shape {shape}; it must be [{n}, {least} or more]")
 
 
 def _store_matrices(into: Floats, table: ClipTable, agents: slice | NDArray[np.intp], matrices: Floats) -> None:

@@ -44,7 +44,7 @@ def playing_of(
         modes, layer_weights, parents = np.zeros(n, np.int32), np.ones(n, np.float32), np.full(n, NO_PARENT, np.int32)
     layer_counts = np.asarray(layer_counts, np.int64)
     if modes is None or layer_weights is None or parents is None:
-        raise ValueError("layers have modes, weights and parents, all of them or none")
+        raise ValueError("layers need modes, weights and parents: give all three or none")
     of_clips = {"clip names": names, "clip times": times, "clip weights": weights, "groups": groups, "layer ids": layer_ids}
     of_layers = {"layer modes": modes, "layer weights": layer_weights, "layer parents": parents}
     lists = [(what, values, counts) for what, values in of_clips.items()]

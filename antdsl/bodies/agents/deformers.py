@@ -50,7 +50,9 @@ SKINNING = (linear_skinning, dual_quaternion_skinning, dual_quaternion_blend)
 def register(name: str, deformer: Deformer) -> None:
     """Add a deformer by a name that bindings then use. Raises ValueError for a name that is taken, empty, or has a `+`."""
     if not name or "+" in name or name in DEFORMERS:
-        raise ValueError(f"`{name}` is no name for a deformer: it is empty, has a `+`, or is one of {', '.join(DEFORMERS)}")
+        raise ValueError(
+            f"`{name}` cannot be the name of a deformer: it is empty, has a `+`, or is one of {', '.join(DEFORMERS)}"
+        )
     DEFORMERS[name] = deformer
 
 

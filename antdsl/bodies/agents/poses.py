@@ -263,7 +263,7 @@ def _clip_rows(
     """Return the rows of a clip: its samples where it has some, else the rest pose."""
     count = clip.samples
     if count < 1 or not clip.rate > 0:
-        raise ValueError(f"clip `{clip.name}` has no samples, or a rate that is not above 0")
+        raise ValueError(f"clip `{clip.name}` has no samples, or its rate is not above 0")
     clip_parts = [clip.translation, clip.rotation, *([clip.scale] if scaled else []), *([clip.shear] if sheared else [])]
     expected_shapes = [(count, len(clip.joints), width) for width in (3, 4, 3, 3)]
     rig_parts = [np.repeat(part[None], count, 0) for part in rest]

@@ -137,7 +137,7 @@ def _joint_transforms(shape: Shape, definition: Definition, poses: Poses) -> tup
     joints, n]."""
     capture = shape.capture
     if capture is None:
-        raise ValueError(f"shape `{shape.name}` says for none of its points which joints they follow (capture)")
+        raise ValueError(f"shape `{shape.name}` does not state which joints its points follow (capture)")
     numbers = {name: number for number, name in enumerate(definition.rig.names)}
     missing = [name for name in capture.names if name not in numbers]
     if missing:

@@ -96,7 +96,7 @@ class Values:
             self.report.error("wrong-value", f"expected {what} here, but the text is empty", self.span(node), None)
             return None
         if len(node.value) > _NAME_CHARACTERS or "\0" in node.value:
-            self.report.error("wrong-value", f"{what} is too long, or has a sign that does not show", self.span(node), None)
+            self.report.error("wrong-value", f"{what} is too long, or contains an invisible character", self.span(node), None)
             return None
         return node.value
 
@@ -167,7 +167,7 @@ class Values:
         if node is None:
             return False
         if node.value != expected_version or isinstance(node.value, bool):
-            words = f"`{key}` {self.span(node).text[:20]} is not one that is read"
+            words = f"`{key}` {self.span(node).text[:20]} is not supported"
             self.report.error("wrong-value", words, self.span(node), f"write `{expected_version}`, if the file is in that form")
             return False
         return True

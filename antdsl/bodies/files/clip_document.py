@@ -85,7 +85,7 @@ def _channels(values: Values, node: Node) -> dict[str, tuple[Node, Floats]]:
             values.report.error("wrong-value", f"`{channel[:60]}` has no samples", values.span(each), "leave the channel out")
             continue
         if len(array) > 1 and longest > 1 and len(array) != longest:
-            words = f"`{channel[:60]}` has {len(array):,} samples, and `{first[:60]}` has {longest:,}"
+            words = f"`{channel[:60]}` has {len(array):,} samples, but `{first[:60]}` has {longest:,}"
             values.report.error("wrong-value", words, values.key_span(node, channel), "give all the same number, or a single one")
             continue
         if len(array) > longest:
@@ -135,7 +135,7 @@ def read_marks(values: Values, node: Node | None, seconds: float) -> dict[str, f
         return {}
     marks = {}
     for name, each in node.value.items():
-        mark_time = values.number(each, f"the moment of the mark `{name[:40]}`", 0.0, seconds)
+        mark_time = values.number(each, f"the time of the mark `{name[:40]}`", 0.0, seconds)
         if mark_time is not None:
             marks[name] = mark_time
     return marks
@@ -148,12 +148,12 @@ def _read_rotation_order(values: Values, entries: Mapping[str, Node], has_rotati
     if has_rotations and (order is None or angles is None):
         missing = '"rotation_order": "xyz"' if order is None else '"angles": "degrees"'
         head = values.key_span(entries["channels"], next(c for c in entries["channels"].keys if ":r" in c))
-        values.report.error("missing-key", "a clip with rotations says their order and unit", head, f"add `{missing}`")
+        values.report.error("missing-key", "a clip with rotations must state their order and unit", head, f"add `{missing}`")
         return None
     for node, known in ((order, ORDERS), (angles, ("degrees", "radians"))):
         if node is not None and node.value not in known:
             text = "`, `".join(known)
-            values.report.error("wrong-value", f"this is one of `{text}`", values.span(node), f'write `"{known[0]}"`')
+            values.report.error("wrong-value", f"this must be one of `{text}`", values.span(node), f'write `"{known[0]}"`')
             return None
     radians = angles is not None and angles.value == "radians"
     return (str(order.value) if order is not None else "xyz"), (1.0 if radians else np.pi / 180)

@@ -49,7 +49,7 @@ def check_definition(parts: Parts, report: Report) -> Definition | None:
 def _check_sizes(definition: Definition, place: Span | None, report: Report) -> None:
     points = sum(len(shape.points) for shape in definition.shapes.values())
     if points > limits.BODY_POINTS:
-        words = f"the shapes have {points:,} points together, more than {limits.BODY_POINTS:,}"
+        words = f"together, the shapes have {points:,} points, more than {limits.BODY_POINTS:,}"
         report.error("too-large", words, place, "use lighter meshes")
     size = sum(c.translation.nbytes + c.rotation.nbytes + c.scale.nbytes + c.values.nbytes for c in definition.clips.values())
     if size > limits.CLIP_BYTES:
@@ -76,7 +76,7 @@ def _check_binding(definition: Definition, binding: Binding, place: Place | None
         near = nearest_name(binding.deformer, DOCUMENTED_DEFORMERS)
         words = f"no deformer `{binding.deformer[:60]}` comes with antdsl"
         span = place.of(binding.deformer) if place else None
-        report.warning("unknown-name", words, span, f'write `"{near}"`' if near else "one of your own has to be registered")
+        report.warning("unknown-name", words, span, f'write `"{near}"`' if near else "a deformer of your own must be registered")
     elif shape is not None and binding.deformer:
         span = place.of(binding.deformer) if place else None
         if binding.deformer.rpartition("+")[2] in DEFORMERS and shape.capture is None:
@@ -118,7 +118,7 @@ def _measure_length(definition: Definition, parts: Parts, report: Report) -> Def
         least, most = rest_box(definition)
         length = float((np.abs(most - least) * np.abs(np.array(definition.front))).sum())
     if not np.isfinite(length) or length <= 1e-9:
-        words = "the body has no length that could be measured along its front"
+        words = "the length of the body along its front cannot be measured"
         report.warning("missing-key", words, parts.span, 'add `"length": 1` to its definition')
         return replace(definition, length=1.0)
     return replace(definition, length=length)

@@ -79,7 +79,7 @@ def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Pa
     rig = _read_one(values, entries.get("rig"), "a rig", read_rig, files)[0] if "rig" in entries else base.rig if base else None
     if rig is None:
         if "rig" not in entries and "from" not in entries:
-            words = "a definition has joints: a `rig`, or a file to take all of it `from`"
+            words = "a definition needs joints: a `rig`, or a file for the whole body under `from`"
             values.report.error("missing-key", words, values.start_span(node), 'add `"rig": {"file": "rig.json"}`')
         return None
     base = base or Definition(name, rig)
@@ -144,7 +144,7 @@ def _report_part_file(values: Values, node: Node) -> bool:
         return False
     for key, what, line in _SIGNS:
         if key in node.value:
-            words = f"this is {what}, not a definition, which names it as one of its parts"
+            words = f"this is {what}, not a definition; a definition names it as one of its parts"
             values.report.error("wrong-kind", words, values.key_span(node, key), f'write a file `{{"antdsl_body": 1, {line}}}`')
             return True
     return False
@@ -281,7 +281,7 @@ def _read_referenced_clips(
         own.pop(clip_name)
     name = values.text(entries.get("name"), "the name of a clip")
     if name is not None and len(clips) > 1:
-        words = f"a name is given, and the file has {len(clips)} clips"
+        words = f"`name` is given, but the file has {len(clips)} clips"
         values.report.error("wrong-value", words, values.span(entries["name"]), f'add `"clip": "{next(iter(clips))}"`')
         return []
     new_clips = []
@@ -307,7 +307,7 @@ def _read_clip_file(
     if file_ending(path) not in (*GLTF, *USD):
         if file_ending(path) != "json" and not files.is_closed_format(path, place):
             kinds = ", ".join(f".{kind}" for kind in ("json", *GLTF, *USD))
-            files.report.error("wrong-kind", f"`{path[-80:]}` is no file of clips", place, f"one of {kinds} is read")
+            files.report.error("wrong-kind", f"`{path[-80:]}` is not a file of clips", place, f"one of {kinds} is read")
         if file_ending(path) != "json":
             return {}
         clip, _ = files.read_part_file(path, "a clip", lambda inside, node: read_clip(inside, node, rig), place)
@@ -355,7 +355,7 @@ def _read_unit(values: Values, node: Node | None, otherwise: float) -> float:
     unit = unit_mm(node.value)
     if not unit:
         known = ", ".join(f"`{unit}`" for unit in UNIT_MM)
-        words = f"the unit of lengths is one of {known}, or a number of them"
+        words = f"the unit of length must be one of {known}, or a multiple of one"
         values.report.error("wrong-value", words, values.span(node), 'write `"mm"`, or `"6 mm"`')
         return otherwise
     return unit
@@ -370,7 +370,7 @@ def _read_axes(values: Values, entries: Mapping[str, Node], base: Definition) ->
             continue
         if not isinstance(node.value, str) or node.value not in _AXES:
             letter = node.value if isinstance(node.value, str) and f"+{node.value}" in _AXES else "z" if key == "front" else "y"
-            words = f"`{key}` is one of the axes `+x` `-x` `+y` `-y` `+z` `-z`"
+            words = f"`{key}` must be one of the axes `+x` `-x` `+y` `-y` `+z` `-z`"
             values.report.error("wrong-value", words, values.span(node), f'write `"+{letter}"`')
             continue
         x, y, z = _AXES[node.value].tolist()
@@ -378,7 +378,7 @@ def _read_axes(values: Values, entries: Mapping[str, Node], base: Definition) ->
     if any(a and b for a, b in zip(axes["front"], axes["up"], strict=True)):
         node = entries.get("up", entries.get("front"))
         place = values.span(node) if node is not None else None
-        values.report.error("wrong-value", "a body looks and stands along the same axis", place, 'write `"up": "+y"`')
+        values.report.error("wrong-value", "the front and the up axis of the body are parallel", place, 'write `"up": "+y"`')
     return axes["front"], axes["up"]
 
 

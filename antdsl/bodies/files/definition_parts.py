@@ -105,7 +105,7 @@ def check_legs(definition: Definition, locations: Places, report: Report) -> Non
     for gait in definition.gaits:
         if len(gait.phases) != len(definition.legs):
             count = len(definition.legs)
-            words = f"`{gait.name}` has {len(gait.phases)} phases, and the body has {count} leg{'' if count == 1 else 's'}"
+            words = f"`{gait.name}` has {len(gait.phases)} phases, but the body has {count} leg{'' if count == 1 else 's'}"
             help = "give a phase for each leg, in the order of `legs`" if count else 'add `"legs": […]`'
             report.error("wrong-value", words, locations.of("gaits", gait.name, "phases"), help)
     for slow, fast in pairwise(definition.gaits):
@@ -113,10 +113,10 @@ def check_legs(definition: Definition, locations: Places, report: Report) -> Non
             words = f"the gaits `{slow.name}` and `{fast.name}` have the same speed"
             labels = [Label(place, "here first") for place in (locations.of("gaits", slow.name, "speed"),) if place is not None]
             place = locations.of("gaits", fast.name, "speed")
-            report.error("wrong-value", words, place, "give each its own, or delete one", labels=tuple(labels))
+            report.error("wrong-value", words, place, "give them different speeds, or delete one", labels=tuple(labels))
     if definition.legs and not definition.gaits:
         line = 'add `"gaits": [{"name": "walk", "speed": …, "stride": …, "duty": 0.6, "lift": …, "phases": […]}]`'
-        report.warning("missing-key", "the body has legs and no gait, so they follow the clips alone", locations.of("legs"), line)
+        report.warning("missing-key", "the body has legs but no gait, so only clips move the legs", locations.of("legs"), line)
     if definition.idle and definition.idle not in definition.clips:
         near = nearest_name(definition.idle, definition.clips)
         words = f"there is no clip `{definition.idle[:60]}`"
@@ -136,7 +136,7 @@ def _check_leg(definition: Definition, leg: Leg, locations: Places, report: Repo
         return
     for key, above, below in (("lower", leg.upper, leg.lower), ("foot", leg.lower, leg.foot)):
         if above not in ancestors_of(definition, below):
-            words = f"`{below[:60]}` does not hang below `{above[:60]}`"
+            words = f"`{below[:60]}` is not below `{above[:60]}` in the rig"
             report.error(
                 "bad-rig", words, locations.of("legs", leg.name, key), "name joints from the hip down: upper, lower, foot"
             )

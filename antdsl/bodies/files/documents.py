@@ -91,7 +91,7 @@ def _read_tree(values: Values, node: Node) -> tuple[tuple[str, ...], list[int]] 
             elif child in parent:
                 other, first = parent[child]
                 if other == name:
-                    values.report_repeated(each, f"`{child}` is twice a child of `{name}`", first)
+                    values.report_repeated(each, f"`{child}` is listed twice as a child of `{name}`", first)
                 else:
                     words = f"the joint `{child}` has two parents, `{other}` and `{name}`"
                     values.report.error("bad-rig", words, place, f"delete `{child}` below one of them")
@@ -148,7 +148,7 @@ def _read_rest(values: Values, node: Node, names: tuple[str, ...], rest: NDArray
             continue
         if len(rows) != 4:
             values.report.error(
-                "wrong-value", f"a matrix has 4 rows, and this one has {len(rows)}", values.start_span(each), None
+                "wrong-value", f"a matrix must have 4 rows, but this one has {len(rows)}", values.start_span(each), None
             )
         if len(rows) != 4 or name not in number or any(row is None for row in rows):
             continue
@@ -229,7 +229,7 @@ def _read_binding(values: Values, node: Node, deforming: bool) -> Binding | None
     shape = values.text(entries.get("shape"), "the name of a shape")
     deformer = values.text(entries.get("deformer"), "the name of a deformer", empty=not deforming) or ""
     if deformer and not deforming:
-        words = f"a static shape has no deformer, and this one has `{deformer[:60]}`"
+        words = f"a static shape cannot have a deformer, but this one has `{deformer[:60]}`"
         values.report.error("wrong-value", words, values.span(entries["deformer"]), 'move it to `deforming`, or write `""`')
     scale = values.numbers(entries.get("bounds_scale"), "a scale of bounds", 3, least=0.0)
     bounds = (1.0, 1.0, 1.0) if scale is None else (float(scale[0]), float(scale[1]), float(scale[2]))

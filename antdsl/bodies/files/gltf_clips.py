@@ -129,7 +129,7 @@ def _read_settings(animation: dict[str, Any], name: str) -> dict[str, Any]:
         good = good and all(_is_number(settings[key], *ends) for key, ends in numbers.items() if key in settings)
         if good and all(isinstance(settings.get(key, True), bool) for key in ("loop", "feet")):
             return settings
-    hint = "they are an object of rate, stride, loop, feet and marks: delete or correct it"
+    hint = "the extras must be an object of rate, stride, loop, feet and marks: delete or correct it"
     raise BodyError(f"has unknown extras `{EXTRAS}` in the clip `{name}`", hint)
 
 
@@ -144,12 +144,12 @@ class _Keys:
     def __init__(self, file: Gltf, sampler: dict[str, Any], width: int) -> None:
         self.kind = sampler.get("interpolation", "LINEAR")
         if self.kind not in ("LINEAR", "STEP", "CUBICSPLINE"):
-            raise BodyError(f"has keys of the kind `{str(self.kind)[:20]}`, which is not known", _EXPORT)
+            raise BodyError(f"has keys of the unknown kind `{str(self.kind)[:20]}`", _EXPORT)
         self.times = file.read_accessor(sampler.get("input"), 1)[:, 0].astype(np.float64)
         values = file.read_accessor(sampler.get("output")).astype(np.float64)
         count, each = len(self.times), 3 if self.kind == "CUBICSPLINE" else 1
         if not count or not np.isfinite(self.times).all() or (np.diff(self.times) < 0).any() or self.times[0] < 0:
-            raise BodyError("has key times that do not rise from 0", _EXPORT)
+            raise BodyError("has key times that do not increase from 0", _EXPORT)
         if values.size != count * each * width or not np.isfinite(values).all():
             raise BodyError(f"has {values.size:,} values for {count:,} keys of {width}, or one that is not finite", _EXPORT)
         self.values = values.reshape(count, each, width)

@@ -31,7 +31,7 @@ def _list_omissions(body: Definition, layer: Layer) -> list[str]:
     inputs = {s for shape in body.shapes.values() for s in (shape.blend.shapes if shape.blend else ())}
     others = [name for name in body.shapes if name not in drawn | inputs]
     notes = [f"the layer `{name}` is left out: glTF has one" for name in body.layers if name != layer.name]
-    notes += [f"the shape `{name}` is left out: no layer that is written has it" for name in others[:4]]
+    notes += [f"the shape `{name}` is left out: no exported layer uses it" for name in others[:4]]
     if body.groups:
         notes.append("transform groups are left out: glTF has none")
     if body.metadata:
@@ -41,7 +41,7 @@ def _list_omissions(body: Definition, layer: Layer) -> list[str]:
     if any("dualquat" in binding.deformer for binding in layer.deforming):
         notes.append("dual quaternion skinning is linear there: glTF has no other")
     if any(shape.between for shape in body.shapes.values()):
-        notes.append("in-betweens are morph targets of their own, with the weights that they have at each sample")
+        notes.append("in-betweens become separate morph targets, with the weight that they have at each sample")
     return notes
 
 
@@ -133,7 +133,7 @@ class _GltfParts:
                 values[:, known.index(channel)] = clip.values[:, number]
         used = {channel for shape in self.body.shapes.values() if shape.blend for channel in shape.blend.channels}
         if set(clip.channels) - used:
-            self.notes.append(f"channels of the clip `{clip.name}` that weigh no morph target are left out")
+            self.notes.append(f"channels of the clip `{clip.name}` that drive no morph target are left out")
         for node, parts in self._morphs:
             assert parts.targets is not None and parts.shape.blend is not None
             if set(parts.shape.blend.channels) & set(clip.channels):

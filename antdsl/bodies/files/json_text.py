@@ -92,7 +92,7 @@ class _Reader:
         node = self.value(at, 0)
         at = self.skip_space(node.end)
         if at < len(self.text):
-            raise self.refuse(at, at + 1, f"something stands behind the end of {self.what}", "delete it")
+            raise self.refuse(at, at + 1, f"there is text after the end of {self.what}", "delete it")
         return node
 
     def value(self, at: int, depth: int) -> Node:
@@ -139,7 +139,7 @@ class _Reader:
 
     def next_depth(self, at: int, depth: int) -> int:
         if depth >= limits.NESTING:
-            words = f"values lie more than {limits.NESTING} deep in each other"
+            words = f"values are nested more than {limits.NESTING} levels deep"
             raise self.refuse(at, at + 1, words, None, code="too-large")
         return depth + 1
 
@@ -163,7 +163,7 @@ class _Reader:
                 raise self.refuse(key.start, key.end, words, "keep one of them", first, code="duplicate-key")
             place = self.skip_space(key.end)
             if self.text[place : place + 1] != ":":
-                raise self.refuse(place, place + 1, f"`:` is missing behind `{name[:60]}`", 'write `"key": value`')
+                raise self.refuse(place, place + 1, f"`:` is missing after `{name[:60]}`", 'write `"key": value`')
             place = self.require_text(self.skip_space(place + 1), at, "}")
             if self.text[place : place + 1] in (",", "}"):
                 raise self.refuse(key.start, key.end, f"`{name[:60]}` has no value", 'write `"key": value`')
@@ -204,16 +204,16 @@ class _Reader:
             line = re.compile(r"[^\n]*").match(self.text, at)
             end = line.end() if line else at + 1
             raise self.refuse(
-                at, end, "this text has no closing quote on its line, or a sign that must be escaped", 'write `"…"`'
+                at, end, "this text has no closing quote on its line, or has a character that must be escaped", 'write `"…"`'
             )
         try:
             text = str(json.loads(match[0]))
         except ValueError:
-            raise self.refuse(
-                at, match.end(), "this text has a `\\` that means nothing", "write `\\\\` for a backslash"
-            ) from None
+            raise self.refuse(at, match.end(), "this text has a `\\` without a meaning", "write `\\\\` for a backslash") from None
         if _LONE.search(text):
-            raise self.refuse(at, match.end(), "this text has half a character (a lone surrogate)", "write the character itself")
+            raise self.refuse(
+                at, match.end(), "this text has half of a character (a lone surrogate)", "write the character itself"
+            )
         return Node(text, at, match.end())
 
     def word(self, at: int) -> Node:
@@ -221,15 +221,15 @@ class _Reader:
         word = match[0] if match else self.text[at : at + 1]
         if word in _WORDS:
             return Node(_WORDS[word], at, at + len(word))
-        message, help = f"`{word}` is no value", None
+        message, help = f"`{word}` is not a value", None
         if word.lower() in _NO_NUMBERS:
-            message, help = f"`{word}` is not a number that can stand here", "write a number, such as `0`"
+            message, help = f"`{word}` is not a valid number here", "write a number, such as `0`"
         elif word in _INSTEAD:
             help = f"write `{_INSTEAD[word]}`"
         elif word.startswith("'"):
             message, help = "text stands in double quotes", 'write `"…"`'
         elif re.match(r"[-+.]?[0-9.]", word):
-            message, help = f"`{word}` is not written as a number", "write `0.5`, `-2` or `1e-3`"
+            message, help = f"`{word}` is not a valid number", "write `0.5`, `-2` or `1e-3`"
         elif match:
             help = f'write `"{word}"`' if re.fullmatch("[A-Za-z_]+", word) else None
         elif word == ",":

@@ -38,7 +38,7 @@ _CLOSED = {
     "abc": "Alembic has no joints: export the body as glTF or USD",
     "blend": "export it from Blender as glTF: File, Export, glTF 2.0",
     "dae": "export it as glTF",
-    "bvh": "import it where the body was made, and export both as glTF",
+    "bvh": "import it into the program that made the body, and export both as glTF",
 }
 
 

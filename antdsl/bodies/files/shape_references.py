@@ -114,7 +114,7 @@ def shapes_of(
         return dict(body.shapes)
     if kind not in MESHES:
         kinds = ", ".join(f".{each}" for each in (*GLTF, *USD, *MESHES))
-        files.report.error("wrong-kind", f"`{path[-80:]}` is no file of shapes", place, f"one of {kinds} is read")
+        files.report.error("wrong-kind", f"`{path[-80:]}` is not a file of shapes", place, f"one of {kinds} is read")
         return {}
     try:
         mesh = read_mesh(files.bytes_of(files.full(path), limits.MESH_BYTES), path)
@@ -140,7 +140,7 @@ def read_includes(
         texts = [values.text(each, "a path", empty=True) for each in values.items(pair, "paths")]
         if len(texts) != 2 or None in texts:
             if None not in texts:
-                words = f"a library is named by two paths, and these are {len(texts)}"
+                words = f"a library needs two paths, but this list has {len(texts)}"
                 values.report.error("wrong-value", words, values.span(pair), 'write `["$HIP/lib.glb", "/…/lib.glb"]`')
             continue
         condensed, absolute = str(texts[0]), str(texts[1])
@@ -195,12 +195,13 @@ def _with_blend(values: Values, node: Node, entries: Mapping[str, Node], shape: 
         if weights is None:
             return shape
         for number in np.flatnonzero((weights == 0) | (weights == 1)):
-            words = f"the in-between shape `{names[number]}` has the weight {weights[number]:g}, at which a whole shape applies"
+            words = f"the in-between shape `{names[number]}` has the weight {weights[number]:g}, "
+            words += f"which is reserved for complete shapes"
             values.report.error("out-of-range", words, values.span(entries["blendshape_inbetweenweights"]), "write `0.5`")
         return replace(shape, between=InBetweens(names, tuple(map(float, weights))))
     channels = _texts(values, entries.get("blendshape_channels"), "names of channels")
     if len(channels) != len(names):
-        words = f"there are {len(names)} shapes to blend, and {len(channels)} channels"
+        words = f"there are {len(names)} shapes to blend, but {len(channels)} channels"
         place = values.span(entries.get("blendshape_channels", entries["blendshape_shapenames"]))
         values.report.error("wrong-value", words, place, "name a channel for each shape")
         return shape

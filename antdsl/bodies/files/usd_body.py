@@ -138,7 +138,9 @@ def _read_skeleton(body: UsdBody, prim: Any, query: Any) -> _Skeleton:
     names = []
     for number, path in enumerate(paths):
         if not -1 <= parents[number] < number:
-            raise BodyError(f"has a skeleton `{prim.GetPath()}` with joints before their parents", "export it again", "bad-rig")
+            raise BodyError(
+                f"has a skeleton `{prim.GetPath()}` that lists joints before their parents", "export it again", "bad-rig"
+            )
         name = leaves[number] if leaves.count(leaves[number]) == 1 else path
         above = top if parents[number] < 0 else top + 1 + parents[number]
         names.append(body.names[body.add_joint(name, above, column_matrix(rest[number]))])
@@ -168,7 +170,7 @@ def _read_skin(skeleton: _Skeleton, mesh: Any, target: Any) -> Skin:
         )
     bind = np.array([column_matrix(m) for m in skeleton.query.GetJointWorldBindTransforms()])[[number[path] for path in paths]]
     if not all(has_inverse(matrix[:3]) for matrix in bind):
-        words = f"has a skeleton `{skeleton.prim.GetPath()}` with a bind transform that flattens"
+        words = f"has a skeleton `{skeleton.prim.GetPath()}` with a bind transform that cannot be inverted"
         raise BodyError(words, "export it again")
     back = np.tile(np.eye(4), (len(bind), 1, 1))
     back[:, :3] = [inverses(matrix[:3]) for matrix in bind]

@@ -109,7 +109,7 @@ def _triangles(mesh: Any, prim: Any, time: Any, points: Floats) -> tuple[Integer
         raise BodyError(f"has a mesh `{prim.GetPath()}` of more than {limits.MESH_FACES:,} faces", code="too-large")
     right = counts.sum() == len(corners) and (not len(counts) or counts.min() >= 0)
     if not right or (len(corners) and (corners.min() < 0 or corners.max() >= len(points))):
-        raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that name missing points", _EXPORT)
+        raise BodyError(f"has a mesh `{prim.GetPath()}` with faces that use missing points", _EXPORT)
     try:
         cut = triangulate(points, counts, corners)
     except TooManyCorners as why:
@@ -197,7 +197,7 @@ def _blend(body: UsdBody, shape: Shape, prim: Any, points: Floats, source: Integ
         for each in blend_shape.GetInbetweens():
             weight = each.GetWeight()
             if weight is None or not np.isfinite(weight) or weight in (0.0, 1.0):
-                body.left_out[f"an in-between of `{path}` has no weight, or one at which a whole shape applies"] = None
+                body.left_out[f"an in-between of `{path}` has no weight, or a weight that is reserved for complete shapes"] = None
                 continue
             own = unused_name(f"{name}.{each.GetAttr().GetName().rpartition(':')[2]}", body.shapes)
             inner.append(

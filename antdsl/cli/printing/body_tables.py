@@ -39,7 +39,7 @@ def body_lines(body: Definition) -> Iterator[str]:
         yield escape_line(f"leg          {leg.name}: {leg.upper}, {leg.lower}, {leg.foot}")
     for gait in body.gaits:
         phases = " ".join(f"{each:.3g}" for each in gait.phases)
-        words = f"at {gait.speed:.4g} {unit}/s, stride {gait.stride:.4g} {unit}, down {gait.duty:.3g} of a cycle"
+        words = f"at {gait.speed:.4g} {unit}/s, stride {gait.stride:.4g} {unit}, duty factor {gait.duty:.3g}"
         yield escape_line(f"gait         {gait.name}: {words}, lift {gait.lift:.4g} {unit}, phases {phases}")
     for group in body.groups.values():
         members = [name if weight == 1 else f"{name} {weight:g}" for name, weight in group.members]

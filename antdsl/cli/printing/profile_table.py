@@ -29,7 +29,7 @@ def show(profile: Profile, *, lines: bool) -> None:
 
 def _print_tables(console: Console, profile: Profile, lines: bool) -> None:
     if not profile.frames:
-        console.print("nothing to tell of: no frame was simulated after the first")
+        console.print("nothing to report: no frame was simulated after the first")
         return
     frames = "1 frame" if profile.frames == 1 else f"{profile.frames:,} frames"
     worked = sum(profile.worked.values())
@@ -38,7 +38,7 @@ def _print_tables(console: Console, profile: Profile, lines: bool) -> None:
     phases = sorted(profile.phases.items(), key=lambda each: -each[1])
     _print_table(console, "phase", ((name, "", ms) for name, ms in phases), total, profile.worked)
     if not lines:
-        console.print("layers and lines are measured on the backends `native` and `numpy`")
+        console.print("layers and lines are measured only on the backends `native` and `numpy`")
         return
     layers = sorted(profile.layers, key=lambda each: -each.ms)
     _print_table(console, "layer", ((each.span.text, each.species, each.ms) for each in layers), total)

@@ -173,5 +173,5 @@ def _report_end(recording: Recording) -> None:
             f"level of detail, agents on the average: {', '.join(f'{name} {count:,.0f}' for name, count in levels.items())}"
         )
     if recording.world.faults.count:
-        print_note(f"{recording.world.faults.count} faults: agents that got a number that is none")
+        print_note(f"{recording.world.faults.count} faults: agents with a value that is not a number")
     print_note(f"the cache is in {recording.folder}")

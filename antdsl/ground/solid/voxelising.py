@@ -27,7 +27,7 @@ _NODE_BYTES = 24  # bytes of memory for each node near the surface while distanc
 def voxelise(vertices: Floats, faces: Index, voxel: float, cap: int) -> Bricks | UnusableMesh:
     """As `Volume.from_mesh`."""
     if not (math.isfinite(voxel) and voxel > 0):
-        return UnusableMesh("the voxel is not a length greater than 0", "write a length, such as `voxel: 1 mm`")
+        return UnusableMesh("the voxel size must be greater than 0", "write a length, such as `voxel: 1 mm`")
     if not len(faces):
         return UnusableMesh("the mesh has no faces", "name a closed mesh")
     corners = vertices[faces]

@@ -135,7 +135,7 @@ def _targets(request: Request) -> Iterator[Item]:
         yield from values(request)
     else:
         yield from _states(request)
-        yield Item("previous", "keyword", "the state it was in before")
+        yield Item("previous", "keyword", "the previous state")
         yield Item("choose", "keyword", "one of several, by weight", "", "choose { ${1:state}: ${2:1} }", True)
 
 
@@ -173,7 +173,7 @@ def _types(request: Request) -> Iterator[Item]:
 def _colours(request: Request) -> Iterator[Item]:
     for colour in COLOURS:
         yield Item(colour, "colour", "colour")
-    yield Item("for at least", "keyword", "the shortest time in this state")
+    yield Item("for at least", "keyword", "the minimum time in this state")
 
 
 def _library_names(request: Request) -> Iterator[Item]:
@@ -190,7 +190,7 @@ def _amounts(request: Request) -> Iterator[Item]:
 
 def _take_sources(request: Request) -> Iterator[Item]:
     if re.match(r"(from|machine)\b", request.prefix.strip()) and "take" not in request.prefix:
-        yield Item("any", "keyword", "out of every state but …")
+        yield Item("any", "keyword", "from every state except …")
     else:
         yield from values(request)
 

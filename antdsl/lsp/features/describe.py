@@ -140,7 +140,7 @@ def _state(workspace: Workspace, document: Document, key: Key) -> str | None:
         else "nothing leads out of it"
     )
     where = f"state of `{key[1]}`" + (f", machine `{key[2]}`" if key[2] != "main" else "")
-    still = "stands still: no line of it steers" if _is_resting_state(workspace, document, key, node) else ""
+    still = "does not move: no line in it steers" if _is_resting_state(workspace, document, key, node) else ""
     return markdown(f"state {node.name.text}{label}{colour}", least, leads, still, where)
 
 

@@ -61,7 +61,7 @@ def _rank_hints(node: nodes.Layers) -> Iterator[Hint]:
     mode = node.mode.text if node.mode is not None else "budget"
     if mode == "sum":
         return  # all count alike
-    rule = "the first that pushes is the only one" if mode == "first" else "gets what the lines above leave of the strength"
+    rule = "only the first layer that pushes counts" if mode == "first" else "gets what the lines above leave of the budget"
     for rank, layer in enumerate(node.layers, 1):
         yield Hint(layer.span, True, f"{rank}.", f"layer {rank} of {len(node.layers)}: {rule}")
 

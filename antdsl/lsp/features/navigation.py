@@ -216,7 +216,7 @@ def rename(workspace: Workspace, document: Document, offset: int, new: str) -> l
     for key in keys:
         place = find_declaration(workspace, document, key)
         if place is not None and not _is_own_file(workspace, place[0].path):
-            raise RenameRefused(f"`{first.span.text}` belongs to the library, which is not changed from here")
+            raise RenameRefused(f"`{first.span.text}` belongs to the library, which cannot be changed here")
         _refuse_collision(workspace, document, key, new)
     return [NameLocation(other, each.span) for other, each in occurrences.values()]
 
@@ -277,7 +277,7 @@ def _refuse_collision(workspace: Workspace, document: Document, key: Key, new: s
                 and each[0] in ("own", "let", "inner", "thing", "field", "species", "event")
                 and _share_scope(key, each)
             ):
-                raise RenameRefused(f"there is a `{new}` already that would be seen in its place: {other.path.name}")
+                raise RenameRefused(f"`{new}` already exists and would be used instead: {other.path.name}")
         if any(each.key[0] == "element" and each.span.text == new for each in other.occurrences):
             raise RenameRefused(f"a local `{new}` in {other.path.name} would hide it")
 

@@ -93,7 +93,7 @@ def write_colours(population: Population, colours: NDArray[np.float32], out: NDA
     ranks = population.id_ranks()
     work = partial(frame_loops.agent_colours, colours, population.now[f"{machines[0].name}.state"], ranks, out)
     if not all(parallel.in_parts(work, len(ranks), threads, parallel.LIGHT)):
-        raise IndexError("a state that a species does not have has no colour")
+        raise IndexError("a state that does not belong to the species has no colour")
 
 
 def _write_states(population: Population, out: NDArray[np.int16], threads: int) -> None:

@@ -59,5 +59,5 @@ def unpack_checked(arrays: Mapping[str, NDArray[Any]]) -> Definition:
     definition, report = unpack_definition(arrays), Report()
     with np.errstate(all="ignore"):
         if check_definition(Parts(definition, measured=False), report) is None:
-            raise BodyError(f"is damaged: of a body, {report.errors[0].message}")
+            raise BodyError(f"is damaged: in a body, {report.errors[0].message}")
     return definition

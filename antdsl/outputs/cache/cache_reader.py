@@ -75,7 +75,7 @@ class Cache:
     def strays(self) -> list[str]:
         """Return messages on files next to frames and checkpoints that are ignored, each complete without context."""
         return [
-            f"`{stray}` is no {what} of this cache: {what}s have names such as `{path(self.folder, 12).name}`"
+            f"`{stray}` is not a {what} of this cache: {what}s have names such as `{path(self.folder, 12).name}`"
             for what, path in (("frame", frame_path), ("checkpoint", checkpoint_path))
             for stray in numbered_files(self.folder, path)[1]
         ]

@@ -238,9 +238,9 @@ def read_manifest(folder: Path) -> Manifest:
     try:
         text = read_bounded(path, _BYTES, follow=False).decode()
     except TooLarge:
-        raise ManifestError(f"`{path}` is larger than a manifest can be") from None
+        raise ManifestError(f"`{path}` is too large for a manifest") from None
     except (OSError, UnicodeDecodeError):
-        raise ManifestError(f"`{folder}` is no cache: it has no readable `{MANIFEST}`") from None
+        raise ManifestError(f"`{folder}` is not a cache: it has no readable `{MANIFEST}`") from None
     newer = re.search(r'"format"\s*:\s*([0-9]{1,6})', text[:200])
     if newer and int(newer[1]) > FORMAT:
         raise ManifestError(f"`{folder}` was written by a newer antdsl (format {newer[1]}, this one reads {FORMAT})")

@@ -88,4 +88,4 @@ def read_npz(path: Path, only: Container[str] | None = None) -> dict[str, NDArra
         with open_bounded(path, FILE_BYTES, follow=False) as file:
             return read_archive(file, os.fstat(file.fileno()).st_size, only)
     except TooLarge as why:
-        raise ArrayFileError(f"has {why.size:,} bytes, more than {why.cap:,}") from None
+        raise ArrayFileError(f"has {why.size:,} bytes, more than the limit of {why.cap:,}") from None

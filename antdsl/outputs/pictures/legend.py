@@ -118,7 +118,7 @@ def contact_sheet(images: Sequence[Image], labels: Sequence[str], *, columns: in
     """Return a sheet `width` pixels wide of pictures (h, w, 3), each with a label. Raises ValueError without pictures, or when
     the number of labels differs."""
     if not images or len(images) != len(labels):
-        raise ValueError("a contact sheet takes at least one picture and one label for each")
+        raise ValueError("a contact sheet needs at least one picture and one label for each")
     across = max(1, min(columns or round(len(images) ** 0.5 + 0.3), len(images)))
     down = -(-len(images) // across)
     gap = max(2, width // 160)

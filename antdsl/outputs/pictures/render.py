@@ -58,7 +58,7 @@ class Renderer:
         blur: float = 0.0,
     ) -> None:
         if not (1 <= width <= 8192 and 1 <= height <= 8192 and 1 <= samples <= 4):
-            raise ValueError("a picture is 1 to 8192 pixels wide and high, with 1 to 4 samples along a pixel's edge")
+            raise ValueError("a picture must be 1 to 8192 pixels wide and high, with 1 to 4 samples along a pixel's edge")
         if not 0 <= blur <= 1:
             raise ValueError("the shutter is open for 0 to 1 of a frame")
         self.width, self.height, self.samples = width, height, samples

@@ -181,9 +181,11 @@ def _note_differences(skel_definition: SkelDefinition, binding: Binding, shape: 
     known = {"blendshape", "linearskinning", "dualquatskinning", "dualquatblendskinning"}
     others = [step for step in steps if step not in known]
     if others:
-        skel_definition.notes.append(f"`{shape.name}` is deformed by `{others[0]}`, which UsdSkel does not have: it is left out")
+        skel_definition.notes.append(
+            f"`{shape.name}` is deformed by `{others[0]}`, which UsdSkel does not support: it is left out"
+        )
     if "blendshape" in steps and steps[0] != "blendshape":
-        skel_definition.notes.append(f"`{shape.name}` is blended after it was skinned: UsdSkel blends first")
+        skel_definition.notes.append(f"`{shape.name}` is blended after skinning, but UsdSkel blends first")
 
 
 def _write_capture(api: Any, definition: Definition, shape: Shape) -> None:

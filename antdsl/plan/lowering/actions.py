@@ -34,7 +34,7 @@ def write(w: Writer, statements: Sequence[model.Statement], site: str, machine: 
 
 
 def complain(w: Writer, missing: UnsupportedConstruct) -> None:
-    w.report.error("not-yet", f"{missing.what} cannot run yet", missing.span, missing.help)
+    w.report.error("not-yet", f"{missing.what} is not supported yet", missing.span, missing.help)
 
 
 def _rate(w: Writer, amount: Node, per_second: bool) -> Node:

@@ -36,7 +36,7 @@ def declare(w: Writer) -> None:
             pair_values.declare(w, attribute)
             continue
         if attribute.name == "push":
-            w.report.error("reserved-name", "`push` is the plan's own name", attribute.span, "call the attribute something else")
+            w.report.error("reserved-name", "`push` is reserved", attribute.span, "rename the attribute")
             continue
         if not attribute.is_builtin and attribute.name not in BIRTH_ATTRIBUTES:
             w.declare_typed(attribute.name, attribute.type, "attribute")

@@ -122,7 +122,7 @@ def order_layers(w: Writer, order: Sequence[str] | None) -> tuple[model.Layer, .
         if not exact and len(fitting) != 1:
             known = ", ".join(f"`{layer.text}`" for layer in layers)
             what = "no layer" if not fitting else "more than one layer"
-            w.report.error("layer-order", f"{what} of `{w.species.name}` is `{name}`", span, f"the layers are {known}")
+            w.report.error("layer-order", f"{what} of `{w.species.name}` matches `{name}`", span, f"the layers are {known}")
             return tuple(layers)
         result.append((exact or fitting)[0])
     missing = [layer for layer in layers if layer not in result]

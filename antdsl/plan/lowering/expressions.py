@@ -135,9 +135,7 @@ def _local(w: Writer, e: model.BindingRef) -> Value:
     if binding in w.environment:
         value = w.environment[binding]
         if isinstance(value, Element) and binding is not w.elements[-1]:
-            raise UnsupportedConstruct(
-                f"`{binding.name}` inside a second set", e.span, "let each set look at its own elements only"
-            )
+            raise UnsupportedConstruct(f"`{binding.name}` inside a second set", e.span, "let each set read its own elements only")
         return value
     if binding.role == "latch":
         return w.read_now(binding.key or binding.name)
@@ -263,7 +261,7 @@ def _attribute(w: Writer, e: model.Attribute) -> Value:
     owner = None if e.of is None else lower(w, e.of)
     if e.name == "moved" and "moved" not in w.registers and getattr(owner, "what", None) is not model.Kind.ITEM:
         raise UnsupportedConstruct(
-            "`moved`, which nothing in the program asks for,", e.span, "add `let pushed = moved` to a species"
+            "`moved`, which the program does not use elsewhere,", e.span, "add `let pushed = moved` to a species"
         )
     if owner is None or isinstance(owner, OwnPlace):
         return own_attribute(w, e.name, e.type)

@@ -86,7 +86,7 @@ def scalar_of_agent(w: Writer, e: model.Expr | None, set_expr: model.SetOf) -> N
     node = scalar(w, e)
     if node.rate > Rate.AGENT:
         raise UnsupportedConstruct(
-            "a set with a size that depends on an element of another set", e.span, "use a size that is the agent's own"
+            "a set with a size that depends on an element of another set", e.span, "use a size that depends only on the agent"
         )
     return node
 
@@ -176,7 +176,7 @@ def lower_feelers(w: Writer, e: model.SetOf) -> tuple[Hit, ...]:
     count_expr, spread_expr, reach_expr = e.args
     count = constant_value(scalar_of_agent(w, count_expr, e))
     if count is None:
-        raise UnsupportedConstruct("a number of feelers that is not written as a number", e.span, "write it out, `feelers: 3`")
+        raise UnsupportedConstruct("a number of feelers that is not a literal number", e.span, "write a number: `feelers: 3`")
     n = max(1, min(16, int(count)))
     spread, reach = scalar_of_agent(w, spread_expr, e), scalar_of_agent(w, reach_expr, e)
     heading, up = w.read_vector("heading"), w.read_vector("up")

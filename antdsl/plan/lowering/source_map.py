@@ -86,7 +86,7 @@ class LayerNote:
     push: tuple[Node, Node, Node]
 
 
-RESTS = "no line steers, so it stands still: halt()"
+RESTS = "no line steers, so the agent does not move: halt()"
 
 
 def resting_site(species: str) -> str:

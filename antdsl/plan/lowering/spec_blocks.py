@@ -175,7 +175,7 @@ class _SpecLowering:
         if species not in self.lowered.species:
             assert span is not None
             raise UnsupportedConstruct(
-                f"a spec on `{species}`, of which the scene has none,", span, f"add `{species}` to the scene's `crowd`"
+                f"a spec on `{species}`, which the scene does not contain,", span, f"add `{species}` to the scene's `crowd`"
             )
         if species not in self.writers:
             self.writers[species] = _Writer(self, self.program.species[species], self.lowered.species[species].registers)
@@ -254,13 +254,13 @@ class _SpecLowering:
         if w.statements:
             w.statements.clear()
             raise UnsupportedConstruct(
-                "something that remembers, in a spec,", e.span, "ask for what it does: an attribute, a state, a speed"
+                "a value with memory in a spec", e.span, "use what it causes: an attribute, a state, a speed"
             )
         name = w.species.name
         if name in (*self.lowered.items, *self.program.fields) and any(_is_agent_only(n) for n in required_nodes([node])):
             if name in self.lowered.items:
                 raise UnsupportedConstruct("a sense of an item", e.span, _OF_ITEMS)
-            raise UnsupportedConstruct("a sense of a cell", e.span, "a cell of a field has a `value` and nothing else")
+            raise UnsupportedConstruct("a sense of a cell", e.span, "a cell of a field has only a `value`")
         return node
 
     # --- lines -------------------------------------------------------------------------------------------------------

@@ -140,7 +140,7 @@ class Writer:
 
     def tell(self, e: model.Expr) -> values.Value:
         """Lower a spec's expression about a whole population; programs cannot use these."""
-        raise PlanError(f"only a spec asks that: {e.span.text!r}")
+        raise PlanError(f"only specs can use this: {e.span.text!r}")
 
     # --- notes -------------------------------------------------------------------------------------------------------
 

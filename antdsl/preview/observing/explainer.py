@@ -58,10 +58,10 @@ class StretchHistory:
         self.stretch.before_step(world)
 
     def missing_error(self, frame: int) -> ExplainError:
-        return ExplainError(f"the history of frame {frame} is no longer stored", f"there is {self.session.first} to here")
+        return ExplainError(f"the history of frame {frame} is no longer stored", f"stored from {self.session.first} on")
 
     def difference_error(self, frame: int) -> ExplainError:
-        return ExplainError(f"frame {frame} comes out otherwise than it was", "this is a bug in antdsl: please report it")
+        return ExplainError(f"frame {frame} is computed differently than before", "this is a bug in antdsl: please report it")
 
 
 class Explainer:
@@ -111,7 +111,7 @@ class Explainer:
         if frame == first:
             raise ExplainError(f"frame {frame} is the first: no step led to it", f"ask at frame {frame + 1}, or later")
         if not first < frame <= head:
-            stored = f"there is {first + 1} to {head} to explain" if head > first else "no step was simulated so far"
+            stored = f"frames {first + 1} to {head} can be explained" if head > first else "no step has been simulated yet"
             raise ExplainError(f"frame {frame} was not simulated, or is forgotten", stored)
         stretch = self.session.timeline.at(frame - 1)
         key = tuple(stretch.changes)

@@ -176,7 +176,7 @@ def _obstacle_text(spec: Spec, shot: Shot, scene: Path) -> str:
     if spec.changes:
         return f"it sets `{spec.changes[0].name}`, as `antdsl test` does"
     if shot.scene.model.preroll and any(each.at_end for each in spec.expectations):
-        return "it asks for the motion, which has the preroll in it here: `antdsl test` leaves that out"
+        return "it uses `motion`, which includes the preroll here; `antdsl test` leaves the preroll out"
     return ""
 
 

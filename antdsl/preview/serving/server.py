@@ -85,9 +85,9 @@ def read_request(text: str) -> Ask | RefusedRequest:
         first = why.errors(include_url=False, include_context=False, include_input=False)[0]
     kind, place = first["type"], [str(part) for part in first["loc"]]
     if kind == "json_invalid":
-        return RefusedRequest("", "a message was no JSON that can be read", "load this page again")
+        return RefusedRequest("", "a message is not valid JSON", "load this page again")
     if kind in ("union_tag_invalid", "union_tag_not_found") and not place:
-        return RefusedRequest("", "a message asks for nothing that a preview does", "load this page again")
+        return RefusedRequest("", "a message requests nothing that a preview supports", "load this page again")
     if not place:
         return RefusedRequest("", "a message is not a list of names and values", "load this page again")
     where = " ".join(f"`{part}`" for part in place[1:]) or "the message"
@@ -173,7 +173,7 @@ class Server:
             await _close_connection(connection, CloseCode.POLICY_VIOLATION, "wrong token")
             return
         if len(self._clients) >= limits.PREVIEW_CLIENTS:
-            await _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many pages look on")
+            await _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many pages are open")
             return
         hello = {"build": self._pages.build}
         if self._door.is_invited(connection):
@@ -214,16 +214,16 @@ class Server:
         with suppress(ConnectionClosed):
             async for message in connection:
                 if not isinstance(message, str):
-                    await _close_connection(connection, CloseCode.UNSUPPORTED_DATA, "only text is read")
+                    await _close_connection(connection, CloseCode.UNSUPPORTED_DATA, "only text is accepted")
                     return
                 if bucket.take():
                     self._forward_request(message, mailbox)
                 elif not patience.take():
-                    await _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "asks too much")
+                    await _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many requests")
                     return
                 elif tell.take():
                     mailbox.tell(
-                        RefusedRequest("", "this page sends too many requests at once: the last one is lost").message_out()
+                        RefusedRequest("", "this page sends too many requests at once: the last one was ignored").message_out()
                     )
 
     def _forward_request(self, message: str, mailbox: Mailbox) -> None:
@@ -237,10 +237,12 @@ class Server:
             mailbox.tell(RefusedRequest(request.op, "too many requests are waiting", "try again in a moment").message_out())
         except Exception:
             traceback.print_exc(file=sys.stderr)
-            mailbox.tell(RefusedRequest(request.op, "this is a bug in antdsl: the terminal has more").message_out())
+            mailbox.tell(RefusedRequest(request.op, "this is a bug in antdsl: see the terminal for details").message_out())
 
     def _drop_slow_client(self, connection: ServerConnection) -> None:
-        closing = asyncio.create_task(_close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too much waits for this page"))
+        closing = asyncio.create_task(
+            _close_connection(connection, CloseCode.TRY_AGAIN_LATER, "too many messages wait for this page")
+        )
         self._closing.add(closing)
         closing.add_done_callback(self._closing.discard)
 

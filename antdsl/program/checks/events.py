@@ -40,6 +40,6 @@ def _report_unheard(checked: CheckContext, event: str, span: Span, report: Repor
     for name in checked.declared.species:
         if checked.is_used("told", f"{event} {name}") and not checked.is_used("heard", f"{event} {name}"):
             report.warning(
-                "unheard-event", f"a `{name}` gets the event `{event}`, but does not notice it", span,
-                f"write `on {event} {{ … }}` in `species {name}`, or ask for it there: `when {event} -> …`",
+                "unheard-event", f"a `{name}` receives the event `{event}`, but does not handle it", span,
+                f"write `on {event} {{ … }}` in `species {name}`, or test for it there: `when {event} -> …`",
             )  # fmt: skip

@@ -21,4 +21,4 @@ def check_layering(checked: CheckContext, report: Report) -> None:
                 "write `state` in a line of `layers`",
             )
         for extra in states[1:]:
-            report.error("duplicate-name", "`state` stands twice in `layers`", extra.span, "leave one of them out")
+            report.error("duplicate-name", "`state` appears twice in `layers`", extra.span, "leave one of them out")

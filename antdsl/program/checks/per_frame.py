@@ -54,7 +54,7 @@ def _check_rate(line: Assign | Ask | Give, amount: Expr, own: str, per_second: b
     if not per_second or is_rate(amount, own):
         return
     single_amount = amount.args[0] if isinstance(amount, Op) and amount.name == "div" and _is_dt(amount.args[1]) else None
-    help, fix = "what a line of a state adds is times `dt` already: say how much a second, without `dt`", None
+    help, fix = "what a state adds is multiplied by `dt` already: write an amount per second, without `dt`", None
     if single_amount is not None and not depends_on_step(single_amount) and _is_inside(single_amount.span, line.span):
         fix = Fix(amount.span, _per_second_text(_source_text(single_amount.span)))
         help = f"write `{begins}{fix.text}`, which is as much at {FPS} frames a second"
@@ -84,10 +84,10 @@ def _check_assignment(line: Assign, driven: bool, report: Report) -> None:
     elif value.type.kind is Kind.BOOL:
         help = f"do it once: in `enter {{ }}`, or in a change: `when after 1 s -> … {{ {_source_text(line.span)} }}`"
     elif any(_is_vanishing(each, name) for each in makers):
-        help = f"for what is left after a second write `{name} = {name} * exp(-dt / 1 s)`; for what is added, `{name} += … /s`"
+        help = f"to keep a share per second, write `{name} = {name} * exp(-dt / 1 s)`; to add an amount, write `{name} += … /s`"
     else:
-        help = f"say how much a second: `{name} += … /s`; what happens once belongs into `enter {{ }}`"
-    labels = tuple(Label(each.span, "here it is changed") for each in makers[:1] if not _is_inside(each.span, line.span))
+        help = f"write an amount per second: `{name} += … /s`; what happens once belongs in `enter {{ }}`"
+    labels = tuple(Label(each.span, "it is changed here") for each in makers[:1] if not _is_inside(each.span, line.span))
     report.warning("per-frame", f"{quote_source(line.span)} {_SO}", line.span, help, labels=labels, fix=fix)
 
 
@@ -96,7 +96,7 @@ def _check_memory(keep: Binding, then: Expr, report: Report) -> None:
     if not makers:
         return
     text = _rate_free_text(makers[0], keep) if len(makers) == 1 and _is_inside(makers[0].span, then.span) else ""
-    help = "say how much a second, times `dt`"
+    help = "write an amount per second, times `dt`"
     if text:
         help = f"write `then {_replace_part(then.span, makers[0].span, text)}`, which is as much at {FPS} frames a second"
     fix = Fix(makers[0].span, text) if text else None

@@ -28,7 +28,7 @@ def check_shadowed(checked: CheckContext, report: Report) -> None:
 
 def _report_shadowed(reader: ConditionReader, change: Transition, first: Transition, report: Report) -> None:
     certain = first.delay is None and first.held is None and is_always(reader, first.condition)
-    label = "this one always happens" if certain else "this one happens whenever it could"
+    label = "this one always happens" if certain else "this one happens whenever the other could"
     report.warning(
         "shadowed-change", "this change is never looked at", change.span,
         f"move it above the one that {'always happens' if certain else 'comes first'}",

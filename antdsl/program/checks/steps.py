@@ -50,10 +50,10 @@ def _replacement(
     if isinstance(around, nodes.Setting) and around.name.text == "keeps":
         share = node.value * (0.01 if "%" in node.unit else 1.0)
         if not 0 < share < 1:
-            return None, "say how fast it fades: `half_life 8 s`"
+            return None, "state how fast it fades: `half_life 8 s`"
         return _describe_fix(around.span, f"half_life {-math.log(2) / math.log(share) / FPS:.3g} s", "fades as fast")
     if isinstance(around, nodes.AnimalProperty) and around.name.text == "response" and node.value <= 1:
-        return Fix(node.span, "0.001 s"), "write `response 0.001 s`, which is at once at any rate"
+        return Fix(node.span, "0.001 s"), "write `response 0.001 s`, which is immediate at any frame rate"
     if node.unit == "step":
         return _describe_fix(node.span, f"{node.value / FPS:.3g} s", "is as long")
     if power == -1 and node.unit.endswith("/step"):

@@ -24,7 +24,7 @@ def check_writers(checked: CheckContext, report: Report) -> None:
                         "two-writers",
                         f"machines `{known[0].name}` and `{machine.name}` both write `{name}`, in the same step",
                         span,
-                        f"let one machine write it, or only add in both: `{name} += …`",
+                        f"let one machine write it, or only add to it in both: `{name} += …`",
                         labels=(Label(known[1], "the other one"),),
                     )  # fmt: skip
                     break

@@ -60,7 +60,8 @@ def look(scope: Scope, line: nodes.Ask, block: Block) -> model.Look | None:
     widest = None if within is None else constant_behind(within)
     if within is not None and widest is not None and not 0 < widest.number <= _WIDEST:
         scope.report.error(
-            "out-of-range", f"`{' '.join(within.span.text.split())}` is no angle that a body turns its {line.name.text} by",
+            "out-of-range",
+            f"`{' '.join(within.span.text.split())}` is not an angle by which a body can turn its {line.name.text}",
             within.span, "write an angle above `0 deg`, `180 deg` at most",
         )  # fmt: skip
         return None
@@ -88,7 +89,7 @@ def _is_misplaced(scope: Scope, line: nodes.Ask, block: Block) -> bool:
     if not block.body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"
         scope.report.error(
-            "misplaced", f"`{form}` stands in an action, and is shown as long as a state lasts", line.span,
+            "misplaced", f"`{form}` is in an action, but it is shown as long as a state lasts", line.span,
             f"write `{' '.join(line.span.text.split())}` as a line of the state itself",
         )  # fmt: skip
     return not block.body
@@ -104,7 +105,7 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
         return None
     if not block.body:
         scope.report.error(
-            "misplaced", f"`play {clip}` stands in an action, and a clip goes on as long as a state", line.span,
+            "misplaced", f"`play {clip}` is in an action, but a clip plays as long as a state lasts", line.span,
             f"write `play {clip}` as a line of the state itself",
         )  # fmt: skip
         return None
@@ -142,7 +143,8 @@ def _name_argument(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> 
         return node.name.text
     what, sample = ("a transform group", "arms") if argument == "on" else ("a clip", f"{clip}_{argument}")
     scope.report.error(
-        "wrong-argument", f"`{argument}` of `play` names {what} of the body, and `{' '.join(node.span.text.split())}` is no name",
+        "wrong-argument",
+        f"`{argument}` of `play` names {what} of the body, but `{' '.join(node.span.text.split())}` is not a name",
         node.span, f"write `play {clip}({argument}: {sample})`",
     )  # fmt: skip
     return None
@@ -154,11 +156,14 @@ def _is_valid_value(scope: Scope, clip: str, argument: str, expr: Expr) -> bool:
     text = " ".join(expr.span.text.split())
     words, help = "", ""
     if argument == "add" and known is None:
-        words, help = (f"`add` of `play` is one value for all agents, but `{text}` may differ", f"write `play {clip}(add: true)`")
+        words, help = (
+            f"`add` of `play` has one value for all agents, but `{text}` may differ",
+            f"write `play {clip}(add: true)`",
+        )
     elif argument == "weight" and known is not None and not 0 <= known.number <= 1:
-        words, help = f"`{text}` is no share of a pose, which is from 0 to 1", f"write `play {clip}(weight: 0.5)`"
+        words, help = f"`{text}` is not a share of a pose; a share is from 0 to 1", f"write `play {clip}(weight: 0.5)`"
     elif argument == "speed" and known is not None and known.number < 0:
-        words, help = f"a clip goes ahead only, and `{text}` is below 0", f"write `play {clip}(speed: 1.5)`"
+        words, help = f"a clip can play forwards only, but `{text}` is below 0", f"write `play {clip}(speed: 1.5)`"
     if words:
         scope.report.error("out-of-range" if known is not None else "wrong-argument", words, expr.span, help)
     return not words
@@ -169,6 +174,6 @@ def check_single_clip(scope: Scope, node: nodes.State) -> None:
     lines = [line for line in node.body if isinstance(line, nodes.Ask) and line.verb == "play"]
     for line in lines[1:]:
         scope.report.error(
-            "two-writers", f"`{node.name.text}` plays a clip already, and a state plays one", line.span,
+            "two-writers", f"`{node.name.text}` plays a clip already, and a state can play only one", line.span,
             "play it in a separate machine, `machine arms { … }`", labels=(Label(lines[0].span, "first here"),),
         )  # fmt: skip

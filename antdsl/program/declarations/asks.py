@@ -103,8 +103,8 @@ def _recipient(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> 
     text = " ".join(node.span.text.split())
     if expr.type.kind is Kind.SPECIES:
         scope.report.error(
-            "wrong-kind", f"`{text}` is a whole species, and `{row.op} … to` is for one agent", node.span,
-            f"say which one: `to nearest({text})`",
+            "wrong-kind", f"`{text}` is a whole species, but `{row.op} … to` needs one agent", node.span,
+            f"name one: `to nearest({text})`",
         )  # fmt: skip
         return bad_expression(node.span)
     if expr.type.kind is not Kind.AGENT:
@@ -113,7 +113,7 @@ def _recipient(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> 
     if expr.type.of is None:
         scope.report.error(
             "wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span,
-            "name the species where the agent is looked for, such as `nearest(neighbours(20 mm, of: rabbit))`",
+            "name the species where you search for the agent, such as `nearest(neighbours(20 mm, of: rabbit))`",
         )  # fmt: skip
         return bad_expression(node.span)
     if line.name is not None:
@@ -149,7 +149,7 @@ def _reports_missing(scope: Scope, row: Effect, line: nodes.Ask, written: Writte
     if missing:
         shape = ", ".join(f"{arg.name}: {arg.sample or '…'}" for arg in missing)
         wants = " and ".join(f"a {arg.name}" for arg in missing)
-        scope.report.error("missing-argument", f"`{row.op}` wants {wants}", line.span, f"write `{form}({shape})`")
+        scope.report.error("missing-argument", f"`{row.op}` needs {wants}", line.span, f"write `{form}({shape})`")
     return bool(missing)
 
 
@@ -163,7 +163,7 @@ def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
         case "event":
             if text in EVENTS:
                 scope.report.error(
-                    "wrong-argument", f"`{text}` is computed, and no agent can `{row.op}` it", name.span,
+                    "wrong-argument", f"`{text}` is a computed event, so no agent can `{row.op}` it", name.span,
                     f"give the event another name, such as `{row.op} bump`",
                 )  # fmt: skip
             return text not in EVENTS

@@ -86,7 +86,7 @@ def _is_settable(scope: Scope, member: nodes.AnimalProperty) -> bool:
             return False
     text = " ".join(member.value.span.text.split())
     if row is not None:
-        better = f"`max_speed {text}` is the fastest it goes" if name.text == "speed" else "it follows from how the animal moves"
+        better = f"`max_speed {text}` is the fastest it goes" if name.text == "speed" else "it follows from the agent's motion"
         scope.report.error("not-settable", f"`{name.text}` cannot be set", name.span, better)
     else:
         scope.report.error(
@@ -94,7 +94,7 @@ def _is_settable(scope: Scope, member: nodes.AnimalProperty) -> bool:
             f"an animal has no property `{name.text}`",
             name.span,
             _correct_place(name.text)
-            or did_you_mean(name.text, known, f"an attribute of your own is written `{name.text} = {text}`"),
+            or did_you_mean(name.text, known, f"write an attribute of your own as `{name.text} = {text}`"),
         )
         is_known_missing(scope, "name", name)  # it was to be declared here
     value(scope.with_changes(runs_once=True), member.value)
@@ -145,7 +145,7 @@ def _attribute(scope: Scope, node: nodes.Declaration | nodes.AnimalProperty, cir
     if node.range is not None:
         scope.report.error(
             "wrong-kind",
-            f"only a param has a range, and `{name}` is an attribute",
+            f"only a param can have a range, but `{name}` is an attribute",
             node.range.span,
             f"write `param {name} = …`, or leave the range out",
         )

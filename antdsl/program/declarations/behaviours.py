@@ -110,7 +110,7 @@ def _report_circle(report: Report, circle: list[BehaviourInfo]) -> None:
         "circle",
         f"behaviours call each other in a circle: {names}",
         circle[0].node.name.span,
-        "a behaviour cannot call itself; take one of the calls out",
+        "a behaviour cannot call itself; remove one of the calls",
     )
     for each in circle:
         each.state = "circular"
@@ -225,7 +225,7 @@ def _keep(scope: Scope, line: nodes.Keep) -> Binding:
             "wrong-kind",
             f"{type_words(type)} cannot be stored",
             line.first.span,
-            "keep a number, a vector, a yes or no, an item or an agent",
+            "store a number, a vector, a yes or no, an item or an agent",
         )
     key = f"{scope.keys.path}.{line.name.text}"
     binding = Binding(line.name.text, "keep", type, Rate.AGENT, line.name.span, first, None, key)
@@ -287,7 +287,11 @@ def _called_behaviour(scope: Scope, function: nodes.Expr) -> BehaviourInfo | Non
     alias = function.owner.name.text if isinstance(function.owner, nodes.NameRef) else None
     module = scope.file.aliases.get(alias) if alias else None
     if module is None:
-        advice = f'bring it: `use "./{alias}.ant" as {alias}`' if alias else "only the behaviours of a used file are called so"
+        advice = (
+            f'bring it: `use "./{alias}.ant" as {alias}`'
+            if alias
+            else "only behaviours of a file in a `use` line are called this way"
+        )
         scope.report.error(
             "unknown-module",
             f"no file is used as {quote_source(function.owner.span)}",
@@ -319,7 +323,10 @@ def _is_allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
         return False
     if info.draws and scope.sets:
         scope.report.error(
-            "draw-in-set", f"`{name}` draws random numbers, and this is inside a set", node.span, "call it outside of the set"
+            "draw-in-set",
+            f"`{name}` draws random numbers, which is not possible inside a set",
+            node.span,
+            "call it outside of the set",
         )
         return False
     if scope.behaviour is not None:
@@ -376,7 +383,7 @@ def _expand_call(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_n
     if not report.ok:
         first = report.errors[0]
         labels = (Label(first.span, "here"),) if first.span is not None else ()
-        scope.report.error(first.code, f"`{name}` cannot be used so: {first.message}", node.span, first.help, labels=labels)
+        scope.report.error(first.code, f"`{name}` cannot be used this way: {first.message}", node.span, first.help, labels=labels)
         return bad_expression(node.span)
     return InlinedBehaviour(
         result.type, max(result.rate, rate_of(b.value for b in body)), node.span, name, key, tuple(arguments), tuple(body), result

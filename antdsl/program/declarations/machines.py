@@ -71,7 +71,7 @@ def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: S
             "duplicate-name",
             "a second `start`",
             extra.span,
-            "an animal starts in one state",
+            "an agent starts in one state",
             labels=(Label(starts[0].span, "first here"),),
         )
     if starts:
@@ -227,8 +227,8 @@ def _delay(scope: Scope, node: nodes.Expr | None) -> Expr | None:
         return _duration(scope, node, "`after`")
     source, text = time.span.source, f"time_in_state >= {time.span.text}"
     span = Span(source, source.text.rindex("after", 0, time.span.start), time.span.end)
-    message = f"`{' '.join(span.text.split())}` cannot be joined with a condition"
-    scope.report.error("wrong-kind", message, span, f"write `{text}` for it", fix=Fix(span, text))
+    message = f"`{' '.join(span.text.split())}` cannot be combined with a condition"
+    scope.report.error("wrong-kind", message, span, f"write `{text}` instead", fix=Fix(span, text))
     return bad_expression(node.span)
 
 
@@ -237,8 +237,8 @@ def _hold_time(scope: Scope, node: nodes.Expr | None) -> Expr | None:
     time = _leftmost(node)
     if node is None or time is None or time is node:
         return _duration(scope, node, "`held`")
-    message = f"`held {' '.join(time.span.text.split())}` stands in the middle of a condition"
-    scope.report.error("wrong-kind", message, time.span, "write it at the end: the whole condition is held that long")
+    message = f"`held {' '.join(time.span.text.split())}` is in the middle of a condition"
+    scope.report.error("wrong-kind", message, time.span, "write it at the end: the whole condition must hold that long")
     return bad_expression(node.span)
 
 

@@ -45,7 +45,7 @@ def param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
         if extra is not None:
             scope.report.error(
                 "wrong-kind",
-                f"a param is one value for all agents, so it has no `{word}`",
+                f"a param has one value for all agents, so it cannot have `{word}`",
                 extra.span,
                 f"leave `param` out to make `{name}` an attribute",
             )
@@ -237,7 +237,7 @@ def _check_order(scope: Scope, node: nodes.Declaration, three: list[_ParamNumber
             "empty-range",
             f"the range {quote_source(node.range.span)} ends before it begins",
             odd.node.span if odd else node.range.span,
-            f"write the lesser end first: `{swapped}`"
+            f"write the lower end first: `{swapped}`"
             if odd is None
             else f"{_limit_text(odd, low)} {quote_source(value.node.span)}",
             fix=Fix(node.range.span, swapped) if odd is None else None,
@@ -263,7 +263,7 @@ def _check_order(scope: Scope, node: nodes.Declaration, three: list[_ParamNumber
 
 
 def _limit_text(end: _ParamNumber, low: _ParamNumber) -> str:
-    return "write a beginning below" if end is low else "write an end above"
+    return "write a beginning below" if end is low else "write an upper end above"
 
 
 def _text_within_limits(three: Sequence[_ParamNumber]) -> str | None:

@@ -65,6 +65,6 @@ def _degree(scope: Scope, node: nodes.Expr) -> Expr:
             "out-of-range",
             f"{quote_source(node.span)} is no share of truth",
             node.span,
-            "a rule is true from 0 to 1, such as `0.5`",
+            "write a degree from 0 to 1, such as `0.5`",
         )
     return expr

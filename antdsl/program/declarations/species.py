@@ -160,7 +160,7 @@ def _with_relaxation(scope: Scope, attribute: model.AttributeDecl, node: nodes.D
                 "wrong-kind",
                 f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax",
                 node.relax.span,
-                "only numbers and vectors change little by little",
+                "only numbers and vectors can change gradually",
             )
         to = value_of_type(scope, node.relax.to, attribute.type, "`relax to`")
         over = value_of_type(scope, node.relax.over, TIME, "`over`")
@@ -170,9 +170,9 @@ def _with_relaxation(scope: Scope, attribute: model.AttributeDecl, node: nodes.D
         if type is not None and type.kind is not Kind.AGENT:
             scope.report.error(
                 "wrong-kind",
-                f"`{node.each.species.text}` is no species",
+                f"`{node.each.species.text}` is not a species",
                 node.each.species.span,
-                "`for each` keeps a value about other agents",
+                "`for each` stores values about other agents",
             )
         each = node.each.species.text
         check_pair_value(scope, attribute, to)
@@ -260,7 +260,7 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, StableKeys]) -> mod
     names, event = scope.species, node.event.text
     assert names is not None
     keys = events.setdefault(event, StableKeys(f"{names.name}.on.{event}"))
-    scope = scope.with_changes(keys=keys, no_keep="an event happens now and then")
+    scope = scope.with_changes(keys=keys, no_keep="an event does not happen at every step")
     other, partner_species = None, _partner_species(scope, node) if event == "collision" else ""
     if event == "collision" and node.variable is not None:
         _check_distinct_name(scope, node.variable)
@@ -270,7 +270,9 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, StableKeys]) -> mod
             )
         scope = scope.with_changes(locals={node.variable.text: other or bad_expression(node.variable.span)})
     elif node.variable is not None:
-        scope.report.error("wrong-argument", f"`on {event}` does not say who", node.variable.span, f"write `on {event} {{ … }}`")
+        scope.report.error(
+            "wrong-argument", f"`on {event}` does not name an agent", node.variable.span, f"write `on {event} {{ … }}`"
+        )
         scope = scope.with_changes(locals={node.variable.text: bad_expression(node.variable.span)})
     if event not in EVENTS:
         scope.mark_used("on", event)
@@ -292,8 +294,8 @@ def _partner_species(scope: Scope, node: nodes.On) -> str:
         scope.bind(name.span, "species", name.text)
         return name.text
     if thing is not None:
-        advice = f"ask in a state, `when touching({name.text}) -> …`"
-        scope.report.error("wrong-kind", f"`{name.text}` is no species, and a collision is with an agent", name.span, advice)
+        advice = f"test it in a state: `when touching({name.text}) -> …`"
+        scope.report.error("wrong-kind", f"`{name.text}` is not a species, but a collision is with an agent", name.span, advice)
     else:
         advice = did_you_mean(name.text, known, f"declare it: `world {{ species {name.text} }}`")
         scope.report.error("unknown-species", f"no species `{name.text}`", name.span, advice)
@@ -303,10 +305,10 @@ def _partner_species(scope: Scope, node: nodes.On) -> str:
 def _check_distinct_name(scope: Scope, variable: nodes.Name) -> None:
     """Report a name in the brackets of a collision that already has another meaning."""
     if variable.text in scope.declared.species:
-        message = f"`{variable.text}` is a species, and what stands here names the other agent"
+        message = f"`{variable.text}` is a species, but the name in brackets is the other agent"
         scope.report.error("wrong-argument", message, variable.span, f"write `on collision(other: {variable.text})`")
     elif variable.text == "self":
-        message = "`self` is the agent itself, and what stands here names the other one"
+        message = "`self` is the agent itself, but the name in brackets is the other one"
         scope.report.error("wrong-argument", message, variable.span, "write `on collision(other)`")
 
 
@@ -322,7 +324,7 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
             "duplicate-name",
             "a second `layers`",
             extra.span,
-            "put all lines into one",
+            "merge them into one",
             labels=(Label(written[0].span, "first here"),),
         )
     if not written:
@@ -333,13 +335,16 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
         assert block.mode is not None
         scope.report.error(
             "unknown-setting",
-            f"no way `{mode}` to put layers together",
+            f"layers cannot be combined by `{mode}`",
             block.mode.span,
             did_you_mean(mode, ("sum", "first"), "write `layers`, `layers sum` or `layers first`"),
         )
     if len(block.layers) > limits.LAYERS:
         scope.report.error(
-            "too-many", f"more than {limits.LAYERS} layers", block.layers[limits.LAYERS].span, "put some together in a behaviour"
+            "too-many",
+            f"more than {limits.LAYERS} layers",
+            block.layers[limits.LAYERS].span,
+            "combine some of them in a behaviour",
         )
     scope = scope.with_changes(keys=StableKeys(f"{names.name}.layers"))
     counts: dict[str, int] = {}
@@ -361,7 +366,7 @@ def _layer(scope: Scope, node: nodes.Layer, counts: dict[str, int]) -> model.Lay
     if node.faces:
         push = facing_direction(scope, node.push)
     elif isinstance(node.push, nodes.NameRef) and is_state_name(scope, word) and own and word not in taken:
-        message = f"`{word}` is a state, and a layer is a wish"
+        message = f"`{word}` is a state, but a layer must be a wish"
         scope.report.error("state-as-value", message, node.push.span, "did you mean `state`?")  # whatever the state steers
         push = bad_expression(node.push.span)
     elif not steered:

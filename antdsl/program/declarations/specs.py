@@ -100,7 +100,7 @@ def _line(work: _SpecCheck, line: nodes.SpecLine) -> None:
 
 def _check_repeat(work: _SpecCheck, line: nodes.SpecLine, again: bool) -> None:
     if again:
-        words = f"`{line.kind}` stands twice in one spec"
+        words = f"`{line.kind}` appears twice in one spec"
         work.declared.report.error("duplicate-name", words, line.span, "keep one of them")
 
 
@@ -113,7 +113,7 @@ def _time(work: _SpecCheck, line: nodes.SpecLine, scope: Scope, node: nodes.Expr
     known = constant_behind(expr)
     if known is not None and known.number <= 0:
         work.declared.report.error(
-            "out-of-range", f"`{word}` wants more than no time", node.span, "write a time above 0, such as `20 s`"
+            "out-of-range", f"`{word}` needs a time above 0", node.span, "write a time above 0, such as `20 s`"
         )
         return None
     return expr
@@ -144,11 +144,11 @@ def _comparison_run(work: _SpecCheck, line: nodes.SpecLine) -> ComparisonRun:
         if inner.kind == "set":
             _add_change(work, inner)
         else:
-            words = f"`{inner.kind}` belongs to the spec, not to the run that it compares with"
+            words = f"`{inner.kind}` belongs to the spec, not to the run it is compared with"
             report.error("misplaced-line", words, inner.span, "write it outside of `against { … }`")
     own, work.changes = work.changes, own
     if not own and scene is None and not line.lines:
-        words = "`against` says nothing that is different in the other run"
+        words = "`against` does not state what differs in the other run"
         report.error("wrong-argument", words, line.span, "write `against { set forager.reward = 0 /s }`")
     return ComparisonRun(scene if isinstance(scene, nodes.Text) else None, tuple(own), line.span)
 
@@ -163,10 +163,13 @@ def _read_seeds(work: _SpecCheck, line: nodes.SpecLine) -> None:
         return
     low, high = numbers[0], numbers[-1]
     if high < low:
-        work.declared.report.error("empty-range", "the seeds end before they begin", node.span, "write the lesser one first")
+        work.declared.report.error("empty-range", "the seeds end before they begin", node.span, "write the lower one first")
     elif high - low >= MOST_SEEDS:
         work.declared.report.error(
-            "too-many", f"more than {MOST_SEEDS:,} seeds", node.span, "a spec that holds for ten will likely hold for a thousand"
+            "too-many",
+            f"more than {MOST_SEEDS:,} seeds",
+            node.span,
+            "a spec that holds for ten seeds will probably hold for a thousand",
         )
     else:
         work.seeds += range(low, high + 1)
@@ -282,8 +285,10 @@ def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
     """Return whether `held` and `sooner` can be judged here; report an error if not."""
     report = work.declared.report
     if line.held is not None and line.kind in ("always", "for"):
-        words = f"`{line.kind}` with `held` is not so in the first frame, where nothing has held yet"
-        report.error("wrong-argument", words, line.held.span, "leave `held` out: what is always so has held all the time")
+        words = f"`{line.kind}` with `held` fails in the first frame, where nothing has held yet"
+        report.error(
+            "wrong-argument", words, line.held.span, "leave `held` out: a condition that is always true has held all the time"
+        )
         return False
     if line.kind == "sooner" and not work.compares:
         words = "`sooner` compares with another run, and there is none"
@@ -301,16 +306,16 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
             "wrong-rate",
             f"{text} differs from agent to agent, but no agent is named",
             expr.span,
-            f"write it in `each {names[0]} {{ … }}`, or ask for the `share`, `mean`, `min` or `max` of all",
+            f"write it in `each {names[0]} {{ … }}`, or use the `share`, `mean`, `min` or `max` of all",
         )
         return False
     held = line.held is not None or line.since is not None
     if at_end and (species is not None or held or line.kind not in ("always", "never", "finally")):
         report.error(
             "wrong-argument",
-            "`motion` is measured over the whole run, and known when that is over",
+            "`motion` is measured over the whole run and known only at its end",
             expr.span,
-            "bound it in a line of the spec itself: `always: motion.circling < 5 %`",
+            "limit it in a line of the spec itself: `always: motion.circling < 5 %`",
         )
         return False
     draw = next((p for p in parts(expr) if isinstance(p, Op) and p.name in DRAWS), None)

@@ -102,7 +102,7 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         if type.kind not in (Kind.NUMBER, Kind.VECTOR):
             scope.report.error(
                 "wrong-kind",
-                f"`{name}` is {type_words(type)}, and only numbers and vectors can be added to",
+                f"`{name}` is {type_words(type)}, but you can add only to numbers and vectors",
                 line.span,
                 f"set it: `{name} = …`",
             )
@@ -141,24 +141,24 @@ def _assigned_attribute(scope: Scope, name: nodes.Name, block: Block, line: node
     if text in species.params:
         report.error(
             "not-settable",
-            f"`{text}` is a param, with one value for all agents",
+            f"`{text}` is a param, which has one value for all agents",
             name.span,
             f"make it an attribute: `{text} = …` without `param`",
         )
     elif text in species.bindings:
         report.error(
             "not-settable",
-            f"`{text}` is a `let` or `latch`, and follows from other values",
+            f"`{text}` is a `let` or `latch`, which follows from other values",
             name.span,
             "set what it follows from, or make it an attribute",
         )
     elif builtin is not None or text in ("state", "previous", "next", "time_in_state"):
         advice = (
-            "a change moves it: `when … -> …`"
+            "a transition changes it: `when … -> …`"
             if builtin is None
             else "it moves by `steer`"
             if text in ("position", "speed")
-            else "it follows from the rest"
+            else "it follows from other values"
         )
         report.error("not-settable", f"`{text}` cannot be set", name.span, advice)
     else:
@@ -215,7 +215,7 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
         name, what = line.amount.name.text, " ".join(line.source.span.text.split())
         scope.report.error(
             "missing-argument",
-            f"`take {name}` does not say how much is taken",
+            f"`take {name}` does not state an amount",
             line.amount.span,
             f"write `take 1 {name} from {what}`, or `take all {name} from {what}`",
         )

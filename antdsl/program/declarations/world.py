@@ -35,7 +35,7 @@ from antdsl.syntax.words import WORD_SETTINGS
 
 def outer_scope(declared: Declared, names: FileNames, path: str) -> Scope:
     """A place outside of every species."""
-    return Scope(declared, names, StableKeys(path), declared.report, no_keep="outside of a species nothing is remembered")
+    return Scope(declared, names, StableKeys(path), declared.report, no_keep="nothing is remembered outside a species")
 
 
 # --- things ----------------------------------------------------------------------------------------------------------
@@ -66,7 +66,10 @@ def _declare_thing(declared: Declared, names: FileNames, item: nodes.WorldItem) 
         return
     if kind not in ("items", "species") and item.attributes:
         report.error(
-            "wrong-kind", f"{kind} `{name}` has no values", item.attributes[0].span, "only `items` and `species` have attributes"
+            "wrong-kind",
+            f"{kind} `{name}` has no values",
+            item.attributes[0].span,
+            "only `items` and `species` can have attributes",
         )
     if known is None and not check_free(report, item.name):
         return
@@ -218,7 +221,7 @@ def _is_ground(declared: Declared, name: nodes.Name) -> bool:
     else:
         declared.report.error(
             "wrong-kind",
-            f"`{name.text}` is {thing.kind}, and a field lies on a surface",
+            f"`{name.text}` is {thing.kind}, but a field needs a surface",
             name.span,
             f"surfaces are {list_names(grounds)}" if grounds else None,
         )

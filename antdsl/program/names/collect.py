@@ -146,7 +146,7 @@ class Loader:
             )
         elif alias.text in names.aliases:
             self.report.error(
-                "duplicate-name", f"two files are used as `{alias.text}`", alias.span, "give one of them another name"
+                "duplicate-name", f"two files are both named `{alias.text}`", alias.span, "give one of them another name"
             )
         else:
             names.aliases[alias.text] = self.file(node, above)
@@ -192,7 +192,7 @@ def check_free_in_species(report: Report, name: nodes.Name, value: Span) -> bool
     if builtin.settable:
         text = " ".join(value.text.split())
         report.error(
-            "reserved-name", f"`{name.text}` is there already and is set without `=`", name.span, f"write `{name.text} {text}`",
+            "reserved-name", f"`{name.text}` is built in and is set without `=`", name.span, f"write `{name.text} {text}`",
             fix=Fix(name.span.to(value), f"{name.text} {text}"),
         )  # fmt: skip
     else:

@@ -121,13 +121,13 @@ _ROWS = (
         (),
         "births",
         "makes a new agent",
-        "a new agent where this one stands, at t+1",
+        "makes a new agent at this one's position, at t+1",
         "spawn {of}",
         "spawn {of}",
         too_often="would make a new one in every step",
         draws=True,
     ),
-    Effect("die", "", (), "births", "ends this agent", "the agent is gone at t+1", "die", "die", last=True),
+    Effect("die", "", (), "births", "removes this agent", "the agent is removed at t+1", "die", "die", last=True),
 )
 EFFECTS: dict[str, Effect] = {row.op: row for row in _ROWS}
 

@@ -24,12 +24,12 @@ _ROWS = (
         "ray",
         "target",
         (Part("hit", "b"), Part("distance"), _NORMAL),
-        "what lies along the direction (made unit), up to reach; normal toward the agent",
+        "nearest surface along the direction (normalised), up to reach; normal toward the agent",
         (
             Builtin(
                 (Arg("direction", "push"), Arg("reach", "length"), Arg("on", "obstacle")),
                 "hit",
-                "what lies that way, or none",
+                "what lies in that direction, or none",
                 "ray",
                 sense=True,
                 cost=Cost(400, "1 ray on {thing}"),
@@ -58,7 +58,7 @@ _ROWS = (
             Builtin(
                 (Arg("of", "field"),),
                 "number",
-                "how much there is of it here",
+                "its amount here",
                 "field_value",
                 "value",
                 "value",
@@ -79,7 +79,7 @@ _ROWS = (
                 "smell",
                 "value",
                 sense=True,
-                cost=Cost(300, "1 way over {thing}", "fields"),
+                cost=Cost(300, "1 path over {thing}", "fields"),
                 sample="smell(trail, ahead: 3 mm, turn: 30 deg)",
             ),
         ),
@@ -124,7 +124,7 @@ _ROWS = (
             Builtin(
                 (Arg("field", "field"),),
                 "vector 1/length",
-                "uphill in the field, per length",
+                "uphill in the field, per unit of length",
                 "gradient",
                 "",
                 sense=True,
@@ -152,7 +152,7 @@ _ROWS = (
             Builtin(
                 (Arg("on", "curve"),),
                 "push",
-                "the way the curve was drawn, at its nearest point",
+                "the direction of the curve at its nearest point",
                 "tangent",
                 "t",
                 sense=True,
@@ -166,12 +166,8 @@ _ROWS = (
         "flow.value",
         "flow",
         (Part("", size=3),),
-        "a flow where the agent stands, along its surface; no unit",
-        (
-            Builtin(
-                (Arg("of", "flow"),), "push", "the way it leads here", "flow_value", "", "value", cost=Cost(30, "flow {thing}")
-            ),
-        ),
+        "a flow at the agent's position, along its surface; no unit",
+        (Builtin((Arg("of", "flow"),), "push", "its direction here", "flow_value", "", "value", cost=Cost(30, "flow {thing}")),),
     ),
     Sense(
         "flow.reachable",
@@ -194,10 +190,16 @@ _ROWS = (
         "map.value",
         "map",
         (Part("value"),),
-        "a painted number where the agent stands",
+        "a painted number at the agent's position",
         (
             Builtin(
-                (Arg("of", "map"),), "number", "what is painted here", "map_value", "value", "value", cost=Cost(10, "map {thing}")
+                (Arg("of", "map"),),
+                "number",
+                "the painted value here",
+                "map_value",
+                "value",
+                "value",
+                cost=Cost(10, "map {thing}"),
             ),
         ),
     ),
@@ -205,7 +207,7 @@ _ROWS = (
         "noise",
         "",
         (Part("value"),),
-        "gradient noise at the agent's place and time: cells of a size (first), which of its patterns, seconds a cell lasts",
+        "gradient noise at the agent's place and time: cell size (first), number of the pattern, seconds that a cell lasts",
         (
             Builtin(
                 (
@@ -285,7 +287,7 @@ _ROWS = (
         "the id of the deepest agent that the body has begun to touch, -1 for none, and of all that it touches then; operands: "
         "of those whom it touched until now",
         operands="l" * limits.TOUCHED,
-        trace="begins to touch number {whom:.0f}",
+        trace="begins to touch agent {whom:.0f}",
     ),
 )
 SENSES: dict[str, Sense] = {row.op: row for row in _ROWS}
@@ -295,7 +297,7 @@ WORDS = (
     Builtin(
         (Arg("to", "place"),),
         "length",
-        "how far; endless to none",
+        "distance; infinite if none",
         "distance",
         sense=True,
         interval=POSITIVE,
@@ -305,7 +307,7 @@ WORDS = (
     Builtin(
         (Arg("of", "place"), Arg("to", "place", optional=True)),
         "push",
-        "toward it, length 1 (or from it to another place); nothing to none",
+        "toward it, length 1 (or from it to another place); zero if none",
         "direction",
         sense=True,
         cost=_NEAR,
@@ -314,7 +316,7 @@ WORDS = (
     Builtin(
         (Arg("of", "place"),),
         "position",
-        "where a place is; its own position for none",
+        "position of a place; its own position if none",
         "position",
         sense=True,
         cost=_NEAR,
@@ -323,13 +325,13 @@ WORDS = (
     Builtin(
         (Arg("of", "place"),),
         "velocity",
-        "how it moves; nothing for what stands or is none",
+        "its velocity; zero if it stands still or is none",
         "velocity",
         sense=True,
         sample="velocity(nearest(rabbit))",
     ),
     Builtin(
-        (Arg("x", "place"),), "bool", "its room meets that thing", "touching", sense=True, cost=_NEAR, sample="touching(nest)"
+        (Arg("x", "place"),), "bool", "its body touches that thing", "touching", sense=True, cost=_NEAR, sample="touching(nest)"
     ),
     Builtin(
         (Arg("from", "place"), Arg("floor", "length")),
@@ -351,7 +353,7 @@ WORDS = (
     Builtin(
         (),
         "angle",
-        "between the ground and the level",
+        "angle between the ground and the horizontal",
         "slope",
         form="name",
         sense=True,

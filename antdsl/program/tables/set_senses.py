@@ -42,7 +42,7 @@ _SET_ROWS = (
             _set_builtin(
                 "feelers",
                 (Arg("on", "obstacle"), Arg("count", "count", "3"), Arg("spread", "angle", "35 deg"), Arg("reach", "length")),
-                "rays ahead along the velocity and turned about up, evenly out to `spread` on either side: the hits",
+                "hits of rays along the velocity, spread evenly up to `spread` to either side about the up axis",
             ),
         ),
         ("ray",),

@@ -26,11 +26,11 @@ class KindOfThing:
 _ROWS = (
     KindOfThing(
         "surface",
-        "what can be walked on",
+        "ground that agents walk on",
         "world { surface floor }",
         called="a surface",
         serves=("surface",),
-        typed="a surface by its name",
+        typed="the name of a surface",
         scene_form="a mesh",
         scene="{mesh: ground.ply}",
         snippet="{mesh: ${1:ground.ply}}",
@@ -61,7 +61,7 @@ _ROWS = (
         "things that are placed, each with its own values",
         "world { items fruit { load = 0 } }",
         serves=("items",),
-        typed="all items of a name",
+        typed="all items with a name",
         scene_form="items",
         scene="{one: {at: [0, 0, 0]}}",
         snippet="{${1:one}: {at: [${2:0}, 0, ${3:0}]}}",
@@ -72,18 +72,18 @@ _ROWS = (
         "world { curve path }",
         called="a curve",
         serves=("curve",),
-        typed="a curve by its name",
+        typed="the name of a curve",
         scene_form="a curve",
         scene="{curve: way.json}",
         snippet="{curve: ${1:way.json}}",
     ),
     KindOfThing(
         "flow",
-        "directions over the ground",
+        "directions along the ground",
         "world { flow drift }",
         called="a flow",
         serves=("flow",),
-        typed="a flow by its name",
+        typed="the name of a flow",
         scene_form="a flow",
         scene="{toward: [0, 0, 0], radius: 50 mm}",
         snippet="{toward: ${1:nest}, radius: ${2:50 mm}}",
@@ -94,13 +94,13 @@ _ROWS = (
         "world { map damp }",
         called="a map",
         serves=("map",),
-        typed="a map by its name",
+        typed="the name of a map",
         scene_form="a map",
         scene="{painted: ground.ply, attribute: NAME}",
         snippet="{painted: ${1:ground.ply}, attribute: ${2:damp}}",
     ),
     KindOfThing(
-        "species", "animals that another file describes", "world { species beetle { hunger = 0 } }", typed="a species by its name"
+        "species", "agents that another file describes", "world { species beetle { hunger = 0 } }", typed="the name of a species"
     ),
 )
 KINDS_OF_THINGS: dict[str, KindOfThing] = {row.word: row for row in _ROWS}

@@ -69,11 +69,11 @@ _NAMES: dict[Dim, str] = {
     Dim(mass=1): "mass",
     Dim(angle=1): "angle",
     Dim(length=1, time=-1): "speed",
-    Dim(time=-1): "rate (so much a second)",
+    Dim(time=-1): "rate (amount per second)",
     Dim(length=2): "area",
     Dim(angle=1, time=-1): "turning speed",
     Dim(length=1, time=-2): "acceleration",
-    Dim(length=2, time=-1): "spreading (an area a second)",
+    Dim(length=2, time=-1): "spreading (area per second)",
     FORCE: "force",
 }
 

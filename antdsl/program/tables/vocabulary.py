@@ -86,12 +86,12 @@ BUILTIN_ATTRIBUTES: dict[str, BuiltinAttribute] = {
     "heading": BuiltinAttribute(
         "push", False, None, "where it faces, a unit vector along the surface; may be set in `on` and `enter`"
     ),
-    "up": BuiltinAttribute("push", False, None, "away from the surface, a unit vector"),
+    "up": BuiltinAttribute("push", False, None, "normal of the surface, a unit vector"),
     "speed": BuiltinAttribute("speed", False, None, "the length of its velocity"),
     "moved": BuiltinAttribute(
         "length", False, None, "how far contacts pushed it in the step before; 0 where bodies take no room"
     ),
-    "id": BuiltinAttribute("number", False, None, "its number, given at birth and never again"),
+    "id": BuiltinAttribute("number", False, None, "its number, assigned at birth and never reused"),
     "age": BuiltinAttribute("time", False, None, "since birth"),
     "group": BuiltinAttribute("number", False, None, "which line of the scene's `crowd` made it, from 0"),
     "size": BuiltinAttribute("length", True, "4 mm", "body length"),
@@ -99,8 +99,10 @@ BUILTIN_ATTRIBUTES: dict[str, BuiltinAttribute] = {
     "radius": BuiltinAttribute("length", True, "size / 2", "how much room it takes"),
     "clearance": BuiltinAttribute("length", True, "0 mm", "height of the body over the surface"),
     "max_speed": BuiltinAttribute("speed", True, "30 mm/s", "fastest"),
-    "min_speed": BuiltinAttribute("speed", True, None, "slowest, along its way or else its heading; may stand still if not set"),
-    "max_force": BuiltinAttribute("force", True, "mass * max_speed / response", "strength of a push of 1"),
+    "min_speed": BuiltinAttribute(
+        "speed", True, None, "its lowest speed, along its velocity or else its heading; may stand still if not set"
+    ),
+    "max_force": BuiltinAttribute("force", True, "mass * max_speed / response", "force of a push of 1"),
     "max_turn": BuiltinAttribute("angle / time", True, None, "fastest turn of the heading; no limit if not set"),
     "response": BuiltinAttribute("time", True, "0.15 s", "from standing to full speed; `1 step` reaches any velocity at once"),
 }
@@ -123,9 +125,9 @@ _DRAW = Cost(60, "{word}", "draws")
 
 # What is no sense: a function of its arguments, or a draw.
 _PLAIN: dict[str, tuple[Builtin, ...]] = {
-    "abs": (_builtin("abs", [Arg("x", "number A")], "number A", "without its sign"),),
+    "abs": (_builtin("abs", [Arg("x", "number A")], "number A", "absolute value"),),
     "clamp": (_builtin("clamp", [Arg("x", "number A"), Arg("to", "range A")], "number A", "limited to a range"),),
-    "floor": (_builtin("floor", [Arg("x", "number")], "number", "the whole number below"),),
+    "floor": (_builtin("floor", [Arg("x", "number")], "number", "rounded down"),),
     "sqrt": (
         _builtin(
             "sqrt", [Arg("x", "number A")], "number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE
@@ -149,8 +151,8 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
     ),
     "min": (_builtin("min", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the lesser"),),
     "max": (_builtin("max", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the greater"),),
-    "length": (_builtin("length", [Arg("v", "vector A")], "number A", "how long a vector is", interval=senses.POSITIVE),),
-    "unit": (_builtin("unit", [Arg("v", "vector A")], "push", "the same way, length 1; nothing stays nothing"),),
+    "length": (_builtin("length", [Arg("v", "vector A")], "number A", "length of a vector", interval=senses.POSITIVE),),
+    "unit": (_builtin("unit", [Arg("v", "vector A")], "push", "the same direction, length 1; zero stays zero"),),
     "dot": (_builtin("dot", [Arg("a", "vector A"), Arg("b", "vector B")], "number A*B", "scalar product"),),
     "cross": (_builtin("cross", [Arg("a", "vector A"), Arg("b", "vector B")], "vector A*B", "vector product"),),
     "angle": (
@@ -158,14 +160,16 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
             "angle",
             [Arg("a", "vector A"), Arg("b", "vector B")],
             "angle",
-            "between two directions, 0 to half a turn",
+            "angle between two directions, 0 to half a turn",
             interval=senses.HALF_TURN,
         ),
     ),
     "rotate": (
         _builtin("rotate", [Arg("v", "vector A"), Arg("about", "push"), Arg("by", "angle")], "vector A", "turned about an axis"),
     ),
-    "project": (_builtin("project", [Arg("v", "vector A"), Arg("onto", "push")], "vector A", "the part of v along a direction"),),
+    "project": (
+        _builtin("project", [Arg("v", "vector A"), Arg("onto", "push")], "vector A", "the component of v along a direction"),
+    ),
     "limit": (_builtin("limit", [Arg("v", "vector A"), Arg("max", "number A")], "vector A", "shortened to a length if longer"),),
     "vector": (
         _builtin(
@@ -181,7 +185,7 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
             "uniform",
             [Arg("low", "number A"), Arg("high", "number A")],
             "number A",
-            "a random number, evenly between two",
+            "a uniform random number between two",
             draws=True,
         ),
     ),
@@ -190,18 +194,22 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
             "normal",
             [Arg("mean", "number A"), Arg("deviation", "number A")],
             "number A",
-            "a random number about a mean",
+            "a random number around a mean",
             draws=True,
         ),
     ),
-    "pick": (_builtin("pick", [Arg("a", "any A", variadic=True)], "any A", "one of these, evenly", draws=True),),
-    "random": (_builtin("random_agent", [Arg("of", "species")], "agent", "one living agent of a species, evenly", draws=True),),
+    "pick": (_builtin("pick", [Arg("a", "any A", variadic=True)], "any A", "one of these, equally likely", draws=True),),
+    "random": (
+        _builtin(
+            "random_agent", [Arg("of", "species")], "agent", "one living agent of a species, all equally likely", draws=True
+        ),
+    ),
     "rising": (
         _builtin(
             "rising",
             [Arg("x", "number A"), Arg("over", "range A")],
             "number",
-            "0 below, 1 above, straight between",
+            "0 below, 1 above, linear between",
             interval=senses.SHARE,
         ),
     ),
@@ -210,7 +218,7 @@ _PLAIN: dict[str, tuple[Builtin, ...]] = {
             "falling",
             [Arg("x", "number A"), Arg("over", "range A")],
             "number",
-            "1 below, 0 above, straight between",
+            "1 below, 0 above, linear between",
             interval=senses.SHARE,
         ),
     ),
@@ -256,11 +264,11 @@ OTHER_SENSES: dict[str, str] = {word: instead for words, instead in _OTHER_SENSE
 SENSED_NAMES: dict[str, str] = {row.name: row.result for row in senses.find_words("name")}
 
 REDUCERS: dict[str, str] = {
-    "sum": "sum of the body; 0 or nothing for an empty set",
+    "sum": "sum of the body; 0 or a zero vector for an empty set",
     "mean": "mean of the body; 0 for an empty set",
-    "min": "least; endless for an empty set",
-    "max": "greatest; minus endless for an empty set",
-    "count": "how many (for which the body holds)",
+    "min": "lowest; infinite for an empty set",
+    "max": "highest; minus infinity for an empty set",
+    "count": "number of elements (for which the body holds)",
     "any": "the body holds for at least one",
     "every": "the body holds for all",
     "best": "the element for which the body is greatest",

@@ -79,7 +79,7 @@ class SpecRules:
         if self.inside:
             scope.report.error(
                 "set-in-set",
-                "`at_start` cannot stand inside an expression for each agent",
+                "`at_start` cannot be inside an expression that is computed for each agent",
                 span,
                 "write `at_start(total(food.load))`",
             )
@@ -139,7 +139,8 @@ class SpecRules:
             return CellValue(NUMBER, Rate.ELEMENT, node.span, field)
         scope.report.error(
             "wrong-rate", f"`{field}.value` needs a cell", node.span,
-            f"ask of all: `max({field}.value)`, `share({field}.value > 0)`; where an agent stands it is `{field}` alone",
+            f"use a value of all cells: `max({field}.value)`, `share({field}.value > 0)`; "
+            f"at an agent's position, write `{field}` alone",
         )  # fmt: skip
         return bad_expression(node.span)
 
@@ -155,10 +156,10 @@ class SpecRules:
             scope.bind_thing(node.owner.name)
         scope.bind_value(node.name.span, type, name)
         who = "agent" if kind is Kind.SPECIES else "item"
-        also = f", or of each: `each {owner} {{ always: {name} … }}`" if kind is Kind.SPECIES else ""
+        also = f", or test each agent: `each {owner} {{ always: {name} … }}`" if kind is Kind.SPECIES else ""
         scope.report.error(
-            "wrong-rate", f"`{name}` is a value of each {who}, and `{owner}` is all of them", node.span,
-            f"ask of all: `total({owner}.{name})`, `share({owner}.{name} …)`{also}",
+            "wrong-rate", f"`{name}` is a value of one {who}, but `{owner}` is all of them", node.span,
+            f"use a value of all: `total({owner}.{name})`, `share({owner}.{name} …)`{also}",
         )  # fmt: skip
         return True
 
@@ -212,7 +213,7 @@ class SpecRules:
     def _report_argument_count(scope: Scope, node: nodes.Call, name: str) -> Expr:
         call_sample = f"{name}(total(food.load))" if name in ("at_start", "other") else f"{name}(food.load)"
         sample = "share(state == carry)" if name == "share" else call_sample
-        scope.report.error("wrong-argument", f"`{name}` wants one thing to ask of all", node.span, f"write `{sample}`")
+        scope.report.error("wrong-argument", f"`{name}` needs exactly one value of all", node.span, f"write `{sample}`")
         type_arguments(scope, node)
         return bad_expression(node.span)
 
@@ -222,7 +223,7 @@ class SpecRules:
                 "set-in-set",
                 f"{quote_source(span)} stands inside an expression for each agent",
                 span,
-                "ask the one beside the other",
+                "write one next to the other",
             )
         return self.inside
 
@@ -268,7 +269,7 @@ class SpecRules:
     @staticmethod
     def _report_no_sum(scope: Scope, node: nodes.Call, field: str) -> Expr:
         words = f"{quote_source(node.span)} works something out for each cell of `{field}`"
-        known = f"write `{node.function.span.text}({field}.value)`, or `count({field}.value > 0)` and the like"
+        known = f"write `{node.function.span.text}({field}.value)`, or `count({field}.value > 0)` or similar"
         scope.report.error("wrong-argument", words, node.span, known)
         return bad_expression(node.span)
 
@@ -364,7 +365,7 @@ def _subject(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Type | None
             "wrong-argument",
             f"{quote_source(node.span)} asks of {parts} at once",
             node.span,
-            "ask of each one separately, and add up",
+            "use each one separately, and add the results",
         )
         return None
     if scope.species is not None:
@@ -378,7 +379,7 @@ def _subject(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Type | None
     if re.match(r"[a-z_][a-z0-9_]*\b(?!\s*\()", text):
         advice = f"name the species: `{node.function.span.text}({name}.{text})`"
     else:  # a sense has no owner to name
-        advice = f"name the species: `count(a in {name}: {text})`, or ask in `each {name} {{ … }}`"
+        advice = f"name the species: `count(a in {name}: {text})`, or test it in `each {name} {{ … }}`"
     scope.report.error("wrong-argument", f"{quote_source(node.span)} does not say of which agents", node.span, advice)
     return None
 

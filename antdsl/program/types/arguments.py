@@ -39,7 +39,7 @@ def arrange_arguments(scope: Scope, called: str, slots: Sequence[Slot], node: Ca
         if isinstance(argument, nodes.Comprehension):
             scope.report.error(
                 "wrong-argument",
-                f"`{called}` takes no `… in …: …`",
+                f"`{called}` cannot take `… in …: …`",
                 argument.span,
                 "that is for `sum mean min max count any every best`",
             )

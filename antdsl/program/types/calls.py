@@ -52,7 +52,7 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
             "wrong-kind",
             f"{quote_source(function.span)} cannot be called",
             function.span,
-            "only behaviours and built-in words are called",
+            "only behaviours and built-in words can be called",
         )
         type_arguments(scope, node)
         return bad_expression(node.span)
@@ -79,7 +79,7 @@ def _report_unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type
         return
     if name.text in REDUCERS:
         scope.report.error(
-            "wrong-argument", f"`{name.text}` goes over a set", node.span, f"write `{name.text}(n in neighbours(20 mm): …)`"
+            "wrong-argument", f"`{name.text}` needs a set", node.span, f"write `{name.text}(n in neighbours(20 mm): …)`"
         )
         return
     home = scope.declared.home(name.text)
@@ -117,7 +117,7 @@ def _own_behaviour_text(node: nodes.Call, name: str, want: Type | None) -> str:
     gives = {Kind.BOOL: "bool", Kind.VECTOR: "push"}.get(kind, "number")
     arguments = ", ".join(f"{letter}: place" for letter, _ in zip("abcdefgh", node.arguments, strict=False))
     own = f"write your own: `behaviour {name}({arguments}) -> {gives} {{ … }}`"
-    return own if gives == "push" else f"ask with `touching(x)`, `distance(x)`, `nearest(x, within: 40 mm)`, or {own}"
+    return own if gives == "push" else f"use `touching(x)`, `distance(x)`, `nearest(x, within: 40 mm)`, or {own}"
 
 
 # --- built-in operations ---------------------------------------------------------------------------------------------
@@ -352,7 +352,7 @@ def _check_clamp(scope: Scope, node: nodes.Call, operation: Op) -> None:
     low, high = (constant_behind(a) if a is not None else None for a in operation.args[1:3])
     if low and high and (low.u, low.step) == (high.u, high.step) and low.number > high.number:
         span: Span = node.arguments[1].span if len(node.arguments) > 1 else node.span
-        scope.report.error("empty-range", "the range ends before it begins", span, "write the lesser end first")
+        scope.report.error("empty-range", "the range ends before it begins", span, "write the lower end first")
 
 
 def _check_uniform(scope: Scope, node: nodes.Call, operation: Op) -> None:

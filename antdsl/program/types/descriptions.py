@@ -15,7 +15,7 @@ from antdsl.syntax import nodes
 _KINDS: dict[Kind, str] = {
     Kind.BOOL: "a yes or no",
     Kind.STATE: "a state",
-    Kind.HIT: "what a ray met",
+    Kind.HIT: "what a ray hit",
     Kind.PLACE: "a place",
     Kind.SET: "a set",
     Kind.RANGE: "a range",
@@ -141,11 +141,13 @@ def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
             return f"a place has lengths: `{fix.text}`"
         if actual.kind is Kind.VECTOR and actual.dim == Dim():
             ahead = f"{short} * 20 mm" if not isinstance(node, nodes.Binary) else f"({short}) * 20 mm"
-            return f"a direction is no place: steer by it as it is, or name the place that way: `position + {ahead}`"
+            return (
+                f"a direction is not a place: use it directly to steer, or name a place in that direction: `position + {ahead}`"
+            )
         return "name an item, an agent or a position, such as `nearest(food)` or `vector(10 mm, 0 mm, 0 mm)`"
     if expected.kind is Kind.BOOL and actual.kind is Kind.NUMBER:
         if isinstance(node, (nodes.Number, nodes.Quantity)):
-            return "a number alone asks nothing: compare something with it"
+            return "a number alone is not a condition: compare something with it"
         if isinstance(node, nodes.Binary) and node.op in ("and", "or"):
             short = f"({short})"
         return f"compare it with something: `{short} > {with_unit(0.5 if actual.dim == Dim() else 1, actual.dim)}`"
@@ -154,9 +156,9 @@ def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
             return f"`direction({short})` is the push toward it"
         if actual.kind is Kind.NUMBER:
             return (
-                f"a push has a direction: `heading * {short}`"
+                f"a push needs a direction: `heading * {short}`"
                 if actual.dim == Dim()
-                else "a push has a direction, such as `heading`"
+                else "a push needs a direction, such as `heading`"
             )
     if expected.kind is Kind.NUMBER and actual.kind is Kind.VECTOR:
         return f"`length({short})` is a number"

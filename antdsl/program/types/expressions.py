@@ -263,9 +263,9 @@ def _report_unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Exp
     elif scope.species is not None and scope.behaviour is not None and name in scope.species.attributes:
         report.error(
             "unknown-name",
-            f"a behaviour does not know `{name}` of the species that calls it",
+            f"a behaviour cannot read `{name}` of the species that calls it",
             node.span,
-            f"take it as an argument: `{name}: …`",
+            f"pass it as an argument: `{name}: …`",
         )
     elif name in BUILTINS or name in REDUCERS or scope.file.behaviour(name) is not None:
         behaviour = scope.file.behaviour(name)
@@ -286,7 +286,7 @@ def _report_unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Exp
 
 def _foreign_word_fix(name: str, span: Span) -> tuple[str | None, Fix | None]:
     """Return the replacement for a unit without its number, or for a name from other tools."""
-    unit = f"a unit stands behind its number, without blanks inside: `1 {name}`, `30 mm/s`" if name in UNIT_NAMES else None
+    unit = f"a unit follows its number and contains no spaces: `1 {name}`, `30 mm/s`" if name in UNIT_NAMES else None
     instead = NAMES.get(name)
     if instead is None:
         return unit, None
@@ -334,17 +334,17 @@ def member_of(scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
 def _report_no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict[str, Type]) -> None:
     name, kind, text = node.name.text, owner.type.kind, " ".join(node.owner.span.text.split())
     if kind is Kind.ITEMS:
-        advice = f"say which one: `nearest({text}).{name}`" if name != "position" else f"`position({text})`"
-        scope.report.error("wrong-kind", f"`{text}` is all items of that name, and `{name}` is a value of one", node.span, advice)
+        advice = f"name one: `nearest({text}).{name}`" if name != "position" else f"`position({text})`"
+        scope.report.error("wrong-kind", f"`{text}` is all items of that name, but `{name}` is a value of one", node.span, advice)
     elif known:
         advice = did_you_mean(name, known, f"there is {list_names(known)}")
         scope.report.error("unknown-name", f"{type_words(owner.type)} has no `{name}`", node.name.span, advice)
     elif kind is Kind.VECTOR:
         scope.report.error(
             "wrong-kind",
-            f"a part of a vector has no name: `{name}`",
+            f"components of a vector have no names, so no `{name}`",
             node.name.span,
-            f"the part along a direction is `dot({text}, up)`",
+            f"the component along a direction is `dot({text}, up)`",
         )
     else:
         scope.report.error(
@@ -364,8 +364,8 @@ def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
     scope.bind_unreadable(node.name, owner.type)
     species = owner.type.of or "species"
     scope.report.error(
-        "wrong-kind", f"`{species}` is a whole species, and `{node.name.text}` is a value of one agent", node.span,
-        f"say which one: `nearest({species}).{node.name.text}`",
+        "wrong-kind", f"`{species}` is a whole species, but `{node.name.text}` is a value of one agent", node.span,
+        f"name one: `nearest({species}).{node.name.text}`",
     )  # fmt: skip
     return bad_expression(node.span)
 

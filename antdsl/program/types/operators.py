@@ -138,11 +138,11 @@ def _none_test(scope: Scope, node: nodes.Expr, expr: Expr, span: Span, word: str
     kind = expr.type.kind
     if kind in MAY_BE_NONE or kind in (Kind.SET, Kind.BAD, Kind.PLACE):
         return op("is_none", BOOL, span, expr)
-    advice = "`not` turns a yes into a no" if kind is Kind.BOOL else "only an item, an agent, a hit or a set can be none"
+    advice = "`not` needs a yes or no" if kind is Kind.BOOL else "only an item, an agent, a hit or a set can be none"
     fix = None
     if kind in (Kind.ITEMS, Kind.SPECIES):
         nearest = f"nearest({' '.join(node.span.text.split())})"
-        advice, fix = f"ask for one of them: `no {nearest}`", Fix(node.span, nearest)
+        advice, fix = f"test for one of them: `no {nearest}`", Fix(node.span, nearest)
     message = f"{quote_source(node.span)} is {type_words(expr.type)}, which is never none"
     scope.report.error("wrong-kind", message, node.span, advice, fix=fix)
     return bad_expression(span)

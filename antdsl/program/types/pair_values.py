@@ -50,13 +50,13 @@ def check_pair_value(scope: Scope, attribute: AttributeDecl, to: Expr | None) ->
     if attribute.type.kind is not Kind.NUMBER:
         scope.report.error(
             "wrong-kind", f"`{name}` is {type_words(attribute.type)}, and a value per pair is a number", default.span,
-            f"begin with a number: `{name} = 0 for each …`",
+            f"start with a number: `{name} = 0 for each …`",
         )  # fmt: skip
     elif default.rate > Rate.RUN:
         scope.report.error(
             "wrong-rate", f"`{name}` begins with {quote_source(default.span)}, and it has to begin the same about all",
             default.span,
-            "write a number or a param, and set it where they meet",
+            "write a number or a param, and set it where the agents meet",
         )  # fmt: skip
     elif to is not None and to.type.kind is not Kind.BAD and not _is_same(default, to):
         scope.report.error(

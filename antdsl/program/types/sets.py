@@ -245,7 +245,7 @@ def _check_shadow(scope: Scope, variable: nodes.Name) -> None:
             "duplicate-name",
             f"`{variable.text}` has a meaning here already",
             variable.span,
-            "take another letter for the element",
+            "choose another name for the element",
         )
 
 
@@ -262,7 +262,7 @@ def reduction_body(scope: Scope, how: str, node: nodes.Expr) -> Expr:
             "wrong-kind",
             f"`{how}` adds numbers, and {quote_source(node.span)} is a yes or no",
             node.span,
-            "`count` counts for how many it holds",
+            "use `count` to count how many meet a condition",
         )
     else:
         report_mismatch(

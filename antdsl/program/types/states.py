@@ -46,7 +46,7 @@ def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_spa
             "unknown-name",
             f"no `{word}` is known here",
             name_span or span,
-            "only a species that is checked together with this one has states to ask for",
+            "you can test states only of a species that is checked together with this one",
         )
         return bad_expression(span)
     machine = scope.machine if owner is None and scope.machine is not None else next(iter(names.machines.values()))
@@ -96,12 +96,12 @@ def clip_test(scope: Scope, node: nodes.ClipTest, want: Type | None) -> Expr:
     names = scope.species
     if names is None or not names.machines or scope.behaviour is not None:
         scope.report.error(
-            "unknown-name", "no clip is known here", node.span, "ask in a state of a species, `when clip done -> …`"
+            "unknown-name", "there is no clip here", node.span, "test it in a state of a species: `when clip done -> …`"
         )
         return bad_expression(node.span)
     if not node.at and node.name.text != "done":
         scope.report.error(
-            "unknown-name", f"`clip {node.name.text}` says nothing of a clip", node.span,
+            "unknown-name", f"`clip {node.name.text}` is not a property of a clip", node.span,
             f"write `clip done`, or for a mark `clip at {node.name.text}`",
         )  # fmt: skip
         return bad_expression(node.span)

@@ -61,11 +61,11 @@ def _check_settings(
 ) -> bool:
     """Return whether the settings are valid; report errors if not."""
     if not (np.isfinite(size) and size > 0):
-        report.error("field-setting", f"the cells of field `{plan.name}` have no size", plan.span, "write `cell 4 mm`")
+        report.error("field-setting", f"field `{plan.name}` has no cell size", plan.span, "write `cell 4 mm`")
         return False
     if not 0 <= keep <= 1:
         report.error(
-            "field-setting", f"field `{plan.name}` keeps {keep * 100:g} % a step", plan.span, "write a share from 0 to 100 %"
+            "field-setting", f"field `{plan.name}` keeps {keep * 100:g} % per step", plan.span, "write a share from 0 to 100 %"
         )
         return False
     if not diffuse >= 0 or not limit >= 0:

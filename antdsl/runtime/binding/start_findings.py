@@ -86,7 +86,7 @@ def crowding_warnings(scene: Scene, world: World) -> Report:
         words += f": with a radius of {wide} {'or half of `apart` ' if place.apart is not None else ''}they cover {cover}"
         help = "write a smaller `count`, or a smaller `radius` in the program"
         if place.apart is not None:
-            help = "write a smaller `count`, a larger place, or a shorter length for `apart`"
+            help = "write a smaller `count`, a larger place, or a smaller `apart`"
         elif line.larger is not None:
             larger = f"`radius: {_round_up(line.larger / scene.model.unit_mm)} {scene.model.units}`"
             help = f"write {larger}, a smaller `count`, or a smaller `radius` in the program"

@@ -160,5 +160,5 @@ def feet_from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int
             raise ValueError(f"`{name}` is missing or of another shape")
         columns[name] = _copy_column(name, array)
     if not np.array_equal(columns["ids"], ids):
-        raise ValueError("`ids` are others")
+        raise ValueError("the `ids` differ")
     return Feet(**columns)

@@ -42,7 +42,7 @@ def read_archive(file: IO[bytes], size: int, only: Container[str] | None = None)
             return _read_members(archive, size, only)
     # NotImplementedError: zipfile's word for a compression that it does not know
     except (zipfile.BadZipFile, EOFError, NotImplementedError, RuntimeError, ValueError, OverflowError) as problem:
-        raise ArrayFileError(f"is damaged or no array file ({problem})") from None
+        raise ArrayFileError(f"is damaged or not an array file ({problem})") from None
 
 
 def _read_members(archive: zipfile.ZipFile, size: int, only: Container[str] | None) -> dict[str, NDArray[Any]]:
@@ -56,7 +56,7 @@ def _read_members(archive: zipfile.ZipFile, size: int, only: Container[str] | No
     for entry in entries:
         name = entry.filename.removesuffix(".npy")
         if not entry.filename.endswith(".npy") or not _NAME.fullmatch(name) or ".." in name or "//" in name:
-            raise ArrayFileError(f"has a member of a strange name `{entry.filename[:40]!r}`")
+            raise ArrayFileError(f"has a member with an invalid name `{entry.filename[:40]!r}`")
         if name in arrays:
             raise ArrayFileError(f"has two arrays `{name}`")
         if entry.compress_type != zipfile.ZIP_STORED or entry.flag_bits & 0x1 or entry.compress_size != entry.file_size:

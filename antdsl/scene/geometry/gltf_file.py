@@ -60,7 +60,7 @@ class Gltf:
         self._tops: dict[str, list[dict[str, Any]]] = {}
         version = str(self.get_object(self.tree, "asset").get("version", ""))
         if not version.startswith("2."):
-            raise GltfError(f"is glTF {version[:10] or 'without a version'}, and 2.0 is read", _EXPORT)
+            raise GltfError(f"is glTF {version[:10] or 'without a version'}; only 2.0 is supported", _EXPORT)
         for name in map(str, self.get_list(self.tree, "extensionsRequired")):
             if name in _COMPRESSED:
                 raise GltfError(f"is compressed with {_COMPRESSED[name]}, which is not read", "export it without compression")
@@ -73,7 +73,7 @@ class Gltf:
         """An object, empty where there is none."""
         value = holder.get(key, {})
         if not isinstance(value, dict):
-            raise GltfError(f"has a `{key}` that is no object", _EXPORT)
+            raise GltfError(f"has a `{key}` that is not an object", _EXPORT)
         return value
 
     def get_list(self, holder: dict[str, Any], key: str) -> list[Any]:
@@ -87,7 +87,7 @@ class Gltf:
         """A list of objects, empty where there is none."""
         items = self.get_list(holder, key)
         if not all(isinstance(each, dict) for each in items):
-            raise GltfError(f"has `{key}` that are no objects", _EXPORT)
+            raise GltfError(f"has `{key}` that are not objects", _EXPORT)
         return items
 
     def get_index(self, holder: dict[str, Any], key: str, count: int) -> int | None:
@@ -162,12 +162,12 @@ class Gltf:
         indices, values, count = self.get_object(sparse, "indices"), self.get_object(sparse, "values"), sparse.get("count")
         index_kind = _COMPONENTS.get(_as_integer(indices.get("componentType")))
         if index_kind is None or isinstance(count, bool) or not isinstance(count, int) or not 0 <= count <= len(raw):
-            raise GltfError("has a sparse accessor that is not understood", _EXPORT)
+            raise GltfError("has a sparse accessor that is invalid", _EXPORT)
         rows = self._read_rows(indices.get("bufferView"), indices.get("byteOffset", 0), count, index_kind, 1)[:, 0].astype(
             np.int64
         )
         if len(rows) and (rows.min() < 0 or rows.max() >= len(raw)):
-            raise GltfError("has a sparse accessor that names values which are not there", _EXPORT)
+            raise GltfError("has a sparse accessor that refers to missing values", _EXPORT)
         dense_values = raw.copy()
         dense_values[rows] = self._read_rows(values.get("bufferView"), values.get("byteOffset", 0), count, kind, width)
         return dense_values
@@ -180,10 +180,10 @@ class Gltf:
         size = np.dtype(kind).itemsize * width
         for value in (start, offset, length, stride):
             if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**40:
-                raise GltfError("has a buffer view that is not understood", _EXPORT)
+                raise GltfError("has a buffer view that is invalid", _EXPORT)
         stride = stride or size
         if stride < size or (count and start + stride * (count - 1) + size > length):
-            raise GltfError(f"has a buffer view of {length:,} bytes, too few for what is in it", "a part of it is missing")
+            raise GltfError(f"has a buffer view of {length:,} bytes, too few for its content", "a part of it is missing")
         data = self._read_buffer(buffer_view.get("buffer"))
         if offset + length > len(data):
             raise GltfError(f"has a buffer of {len(data):,} bytes, too few for what is in it", "a part of it is missing")
@@ -229,7 +229,7 @@ def _split_chunks(data: bytes) -> tuple[bytes, bytes | None]:
     if data[:4] != b"glTF":
         return data, None
     if len(data) < 20:
-        raise GltfError("ends before it has begun", "a part of it is missing")
+        raise GltfError("ends before its header", "a part of it is missing")
     version, length = struct.unpack_from("<II", data, 4)
     if version != 2:
         raise GltfError(f"is a binary glTF {version}, and 2 is read", _EXPORT)
@@ -240,7 +240,7 @@ def _split_chunks(data: bytes) -> tuple[bytes, bytes | None]:
     while at + 8 <= length and len(chunks) < 64:
         size, kind = struct.unpack_from("<II", data, at)
         if at + 8 + size > length:
-            raise GltfError("has a chunk that goes on beyond its end", "a part of it is missing")
+            raise GltfError("has a chunk that extends beyond its end", "a part of it is missing")
         chunks.append((kind, data[at + 8 : at + 8 + size]))
         at += 8 + size
     if not chunks or chunks[0][0] != 0x4E4F534A:
@@ -259,7 +259,7 @@ def _parse_json(text: bytes) -> dict[str, Any]:
     except (ValueError, RecursionError):
         raise GltfError("is not glTF: its JSON cannot be read", _EXPORT) from None
     if not isinstance(document, dict):
-        raise GltfError("is not glTF: its JSON is no object", _EXPORT)
+        raise GltfError("is not glTF: its JSON is not an object", _EXPORT)
     return document
 
 

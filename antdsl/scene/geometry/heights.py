@@ -69,10 +69,10 @@ def _read_array(data: bytes, array: str | None, layer: int | None) -> Floats:
     if samples is None:
         raise MeshError(f"has no array `{array}`")
     if samples.dtype.kind not in "fiu":
-        raise MeshError("has an array of no numbers")
+        raise MeshError("has an array that is not numeric")
     if samples.ndim == 3:
         if layer is None:
-            raise MeshError(f"has {samples.shape[0]} layers of samples", "say which: `layer: 0`")
+            raise MeshError(f"has {samples.shape[0]} layers of samples", "choose one: `layer: 0`")
         if layer >= samples.shape[0]:
             raise MeshError(f"has no layer {layer}", f"write one from 0 to {samples.shape[0] - 1}")
         samples = samples[layer]
@@ -86,7 +86,7 @@ def _read_array(data: bytes, array: str | None, layer: int | None) -> Floats:
 
 def _check_size(rows: int, columns: int) -> None:
     if rows < 2 or columns < 2:
-        raise MeshError(f"has {rows} rows and {columns} columns of samples, and two of each are the least")
+        raise MeshError(f"has {rows} rows and {columns} columns of samples, but needs two of each")
     if 2 * (rows - 1) * (columns - 1) > limits.MESH_FACES:
         words = f"has {rows:,} rows and {columns:,} columns of samples, which make more than {limits.MESH_FACES:,} faces"
         raise MeshError(words, "use a smaller one")

@@ -80,7 +80,7 @@ def mesh_arrays(
     if kind not in KINDS:
         raise MeshError(f"is not one of {', '.join('.' + k for k in KINDS)}", "export it as a .glb, .ply, .obj or .stl file")
     if group is not None and kind in READERS:
-        raise MeshError("has no groups, as only .obj and glTF files do", "leave `group` out")
+        raise MeshError("has no groups, which only .obj and glTF files have", "leave `group` out")
     try:
         if kind in READERS:
             return _triangulate(READERS[kind](data, notes), notes)

@@ -86,7 +86,7 @@ def _read_scaled(data: bytes, header: Header, element: Element, columns: tuple[s
     kinds = {p.name: p.kind for p in element.properties}
     if any(kinds[name] == "u1" for name in columns):
         if width == 3:
-            raise PaintError("has a vector in bytes, which cannot point backwards", "write it as floating-point numbers")
+            raise PaintError("has a vector of unsigned bytes, which cannot be negative", "write it as floating-point numbers")
         values = values / 255.0
     return values
 
@@ -98,7 +98,7 @@ def _from_npz(data: bytes, attribute: str | tuple[str, ...], width: int) -> Floa
     try:
         arrays = read_arrays(data)
     except ArrayFileError as why:
-        raise PaintError(str(why), "write it with `numpy.savez`, not compressed") from None
+        raise PaintError(str(why), "write it with `numpy.savez`, uncompressed") from None
     names = attribute if isinstance(attribute, tuple) else (attribute,)
     missing = [name for name in names if name not in arrays]
     if missing:

@@ -99,7 +99,7 @@ def _header_lines(data: bytes) -> tuple[list[bytes], int]:
         else:
             lines.append(line)
     if head.startswith((b"\xff\xfe", b"\xfe\xff", b"p\0l\0")):
-        raise HeaderError("is text in UTF-16, and plain ASCII text is read")
+        raise HeaderError("is text in UTF-16, but must be plain ASCII text")
     raise HeaderError("is not a .ply file")
 
 

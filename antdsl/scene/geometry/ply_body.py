@@ -85,7 +85,7 @@ def _corner_property(element: Element) -> str:
     lists = [p for p in element.properties if p.count]
     named = [p for p in lists if p.name.lower() in _INDEX] or lists
     if len(named) != 1:
-        raise HeaderError("has faces that do not list their vertices once")
+        raise HeaderError("has faces without exactly one list of vertices")
     if named[0].kind[0] == "f" or str(named[0].count)[0] == "f":
         raise HeaderError("has faces that name their vertices by numbers that are not whole")
     return named[0].name
@@ -190,7 +190,7 @@ class _TextBody:
         if not right.all():
             k = int(np.flatnonzero(~right)[0])
             text = display_word(b" ".join(block.line(k)[:6]))
-            raise HeaderError(f"has no whole {what} in line {block.number[k]:,}: `{text}`")
+            raise HeaderError(f"has an incomplete {what} in line {block.number[k]:,}: `{text}`")
 
 
 def _join_columns(parts: list[Column]) -> Column:

@@ -19,7 +19,7 @@ class PointsError(Exception):
 
 
 def _refuse_constant(word: str) -> Any:
-    raise PointsError(f"has `{word}`, which is no number")
+    raise PointsError(f"has `{word}`, which is not a number")
 
 
 def read_points(data: bytes, least: int) -> NDArray[np.float64]:

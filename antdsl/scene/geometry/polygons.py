@@ -107,7 +107,7 @@ def _check_work(counts: Integers) -> None:
     if len(counts) and counts.max() > CORNERS:
         raise TooManyCorners(f"has a polygon of {counts.max():,} corners, more than {CORNERS:,}")
     if (counts.astype(np.float64) ** 2 + _EACH).sum() > WORK:
-        raise TooManyCorners(f"has {len(counts):,} polygons with too many corners to cut")
+        raise TooManyCorners(f"has {len(counts):,} polygons with too many corners to triangulate")
 
 
 def _project(rings: Floats) -> tuple[Floats, NDArray[np.bool_]]:

@@ -110,7 +110,7 @@ def _check_others(number: Integers, kind: Integers, words: list[str], notes: Imp
     for place, text in zip(others.tolist(), words, strict=True):
         if opened[place] > 0:
             raise MeshError(f"has a line {number[place]:,} that is not understood: `{text}`")
-        notes.skip(f"a line that is not understood: `{text}`", 1, int(number[place]))
+        notes.skip(f"an invalid line: `{text}`", 1, int(number[place]))
 
 
 def _check_facets(kinds: Integers, numbers: Integers, last: int) -> None:

@@ -45,7 +45,7 @@ def report_losses(staging: Staging, display_name: str, raw: RawMesh, span: Span 
         words = f"{raw.dropped:,} {faces} of `{display_name}` without area or given twice left out"
         report.warning("degenerate-faces", words, span, "merge doubled points and faces in the program that made the mesh")
     if notes.crossing:
-        faces = "face crosses itself" if notes.crossing == 1 else "faces cross themselves"
+        faces = "face crosses itself" if notes.crossing == 1 else "faces intersect themselves"
         words = f"{notes.crossing:,} {faces} in `{display_name}`, the first is face {notes.crossing_face:,}"
         report.warning("crossing-face", words, span, "cut it into triangles in the program that made the mesh")
     skipped = notes.skipped_phrases()

@@ -62,13 +62,13 @@ def match_flow(scene: Scene, program: Program, report: Report, name: str, thing:
         if thing.on is None and len(surfaces) > 1 and _find_painted_surface(scene, surfaces, thing) is None:
             report.error(
                 "missing-key",
-                f"`{name}` does not say on which surface it is painted",
+                f"`{name}` does not name the surface it is painted on",
                 scene.span("world", name, "painted"),
                 f"add `on: {surfaces[0]}`",
             )
         return "painted", thing.painted
     if isinstance(thing, model.TangentFlow) and thing.gather and thing.radius is None:
-        words = "`gather` says how strongly at the radius, and there is no `radius`"
+        words = "`gather` sets the strength at the radius, but there is no `radius`"
         report.error("missing-key", words, scene.span("world", name, "gather", key=True), "add `radius: 50 mm`")
     if isinstance(thing, model.SolvedFlow):
         _match_solved(scene, program, report, name, thing)
@@ -94,7 +94,7 @@ def _match_solved(scene: Scene, program: Program, report: Report, name: str, thi
     if thing.every is not None and not (thing.crowding or dug or _may_move(scene)):
         report.error(
             "wrong-value",
-            f"nothing that `{name}` is solved by changes, so it is solved once",
+            f"no input of `{name}` changes, so it is solved once",
             scene.span("world", name, "every", key=True),
             "leave `every` out, or add `crowding: 2`",
         )

@@ -254,7 +254,7 @@ def stage_curve(staging: Staging, name: str, value: CurveThing | UsdThing) -> Fl
         complete_lines = [line for line in lines if line is not None]
         other = next((k for k, line in enumerate(complete_lines) if line.shape != complete_lines[0].shape), None)
         if other is not None:
-            words = f"`{files[other]}` has another number of points than `{files[0]}`"
+            words = f"`{files[other]}` has a different number of points from `{files[0]}`"
             span = staging.scene.span("world", name, "curve")
             staging.report.error("moving-topology", words, span, "write all frames with the same number of points")
             return None
@@ -286,7 +286,7 @@ def item_positions(staging: Staging, name: str, item: str, thing: ItemThing) -> 
     if any(key.rotate is not None for key in thing.keys.values()):
         frame = next(f for f, key in thing.keys.items() if key.rotate is not None)
         span = staging.scene.span("world", name, item, "keys", str(frame), "rotate")
-        staging.report.error("wrong-value", f"the item `{item}` has no sides that could be turned", span, "delete `rotate`")
+        staging.report.error("wrong-value", f"the item `{item}` has no orientation, so it cannot rotate", span, "delete `rotate`")
     return placed[0]
 
 
@@ -376,7 +376,7 @@ def _read_usd(
     except MeshError as why:
         words = f"the mesh `{prim}` of `{text}` {why}"
         staging.report.error(
-            "bad-mesh", words, staging.scene.span(*path, "prim"), "mend it where it was made, and export it again"
+            "bad-mesh", words, staging.scene.span(*path, "prim"), "repair it in the program that made it, and export it again"
         )
     return None
 

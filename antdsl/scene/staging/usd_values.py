@@ -49,10 +49,10 @@ def read_in_base_units(file: UsdFile, key: str, dim: Dim) -> NDArray[np.float64]
             quantity = parse_quantity(text)
         except QuantityError as why:
             help = why.help or f"write a number, or one with a unit: `{with_unit(1, dim)}`"
-            report.error("bad-usd", f"{where} says `{text}`, which {why}", file.span, help)
+            report.error("bad-usd", f"{where} has `{text}`, which {why}", file.span, help)
             return column
         if quantity.dim != dim:
-            words = f"{where} says `{text}`, and `{key}` is {dimension_words(dim)}"
+            words = f"{where} has `{text}`, but `{key}` is {dimension_words(dim)}"
             report.error("wrong-unit", words, file.span, f"write it like `{with_unit(1, dim)}`")
             return column
         column[number] = quantity.to_base_units(model.unit_mm, float(1 / model.fps))
@@ -71,9 +71,9 @@ def warn_near_misses(file: UsdFile, of: str, known: Collection[str]) -> None:
     keys = sorted({*file.points.values, *file.points.texts} - {*known, "kind", "name"})
     near = {key: "" if key in _SAID else nearest_name(key, known) for key in keys if key in _SAID or nearest_name(key, known)}
     if near:
-        words = f"of `{file.name}` no attribute of `{of}` reads {', '.join(f'`{key}`' for key in near)}"
+        words = f"in `{file.name}`, no attribute of `{of}` reads {', '.join(f'`{key}`' for key in near)}"
         help = ", ".join(
-            f"`{key}`: did you mean `{meant}`?" if meant else f"`{key}`: say it in the species first"
+            f"`{key}`: did you mean `{meant}`?" if meant else f"`{key}`: declare it in the species first"
             for key, meant in near.items()
         )
         file.staging.report.warning("usd-left-out", words, file.span, help)

@@ -117,7 +117,7 @@ def read_golden(path: Path) -> Golden | None:
     except FileNotFoundError:
         return None
     except TooLarge:
-        raise GoldenError(f"`{path.name}` is larger than a file of golden runs can be") from None
+        raise GoldenError(f"`{path.name}` is too large for a file of golden runs") from None
     except OSError as problem:
         raise GoldenError(f"`{path.name}` cannot be read: {(problem.strerror or str(problem)).lower()}") from None
     except (ValidationError, RecursionError):

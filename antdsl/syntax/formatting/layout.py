@@ -46,7 +46,7 @@ def report_too_long(source: Source, text: str, report: Report) -> bool:
         message = f"line that begins with `{line[:40]}` would have more than {limits.LINE_CHARACTERS} characters"
         report.error("line-too-long", message, Span(source, 0, 0), "shorten its text, or give parts of it a name with `let`")
     if len(text.encode("utf-8", "surrogatepass")) > limits.ANT_FILE_BYTES:
-        message = f"laid out, the file would be larger than {limits.ANT_FILE_BYTES // limits.KIB} KiB"
+        message = f"formatted, the file would be larger than {limits.ANT_FILE_BYTES // limits.KIB} KiB"
         report.error("file-too-large", message, Span(source, 0, 0), "split it, and bring the parts in with `use`")
     return not report.ok
 
@@ -62,7 +62,7 @@ def first_difference(one: n.File, other: n.File) -> str | None:
         if a != b:
             return f"`{a}` became `{b}`"
     rest = next(left, None) or next(right, None)
-    return None if rest is None else f"`{rest}` was lost or came in"
+    return None if rest is None else f"`{rest}` was lost or added"
 
 
 def flatten_tree(node: Any) -> Iterator[str]:

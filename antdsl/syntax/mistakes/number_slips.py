@@ -36,7 +36,7 @@ def comma_diagnostic(span: Span, *, only: bool = True) -> Diagnostic:
     fix: str | None = None
     two = text.replace(",", ", ")
     if is_single and not thousands:
-        help = f"write a dot: `{dotted}`" + ("" if only else f"; two values have a blank between them: `{two}`")
+        help = f"write a dot: `{dotted}`" + ("" if only else f"; separate two values with a space: `{two}`")
         fix = dotted if only else None
     elif is_single:
         help = f"write `{plain_number}`, or `{dotted}` with a dot" + ("" if only else f", or `{two}` for two values")
@@ -61,7 +61,7 @@ def number_problem(piece: str, characters: str, end: int) -> tuple[str, int, str
     if rest[:1] == "_" or (piece == "0" and rest[:1] in ("x", "X", "o", "O", "b", "B")):
         return f"`{complete_text}` is not a number", stop, "write it with digits and at most one dot, as in `1200` or `1.25`"
     if len(piece) > 1 and piece[0] == "0" and piece[1].isdigit():
-        return f"number `{piece[:80]}` begins with a needless 0", end, f"write `{piece.lstrip('0') or '0'}`"[:80]
+        return f"number `{piece[:80]}` has a needless leading 0", end, f"write `{piece.lstrip('0') or '0'}`"[:80]
     if sum(character.isdigit() for character in piece) > limits.NUMBER_DIGITS:
         return f"number of {len(piece)} digits", end, f"write at most {limits.NUMBER_DIGITS} digits"
     value = float(piece)

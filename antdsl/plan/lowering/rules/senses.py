@@ -56,7 +56,7 @@ def _nearest_cells(w: Writer, e: model.Op) -> list[Node]:
     assert count_expr is not None
     count = constant_value(scalar(w, count_expr))
     if count is None:
-        raise UnsupportedConstruct("a number of cells that is not written as a number", e.span, "write it out, `nearest: 16`")
+        raise UnsupportedConstruct("a number of cells that is not a literal number", e.span, "write a number: `nearest: 16`")
     cells = w.b("field.strongest", attrs=(_thing_name(w, e), max(1, min(27, int(count)))))
     return [w.b("get", cells, attrs=(i,)) for i in range(4)]
 

@@ -70,7 +70,7 @@ def _read_moves(answer: Message, count: int, frames: int) -> MeshMoves:
     deformed = answer.indices("moves:bent", "i8", count, None)
     offsets = answer.array("moves:offsets", "f8", frames if len(deformed) else 0, len(deformed), 3)
     if len(deformed) > 1 and not (np.diff(deformed) > 0).all():
-        raise ProtocolError("`bent` does not ascend")
+        raise ProtocolError("`bent` is not ascending")
     return MeshMoves(answer.indices("moves:group", "i4", len(tracks), count), tracks, deformed, offsets)
 
 
@@ -100,7 +100,7 @@ def read_usd_points(stage: UsdStage, kind: str | None = None) -> UsdPoints:
         positions = answer.array("places", "f8", None, None, 3)
         frames, count = positions.shape[:2]
         if count > limits.AGENTS:
-            raise UsdError("too-large", f"below `{stage.prim}` are more than {limits.AGENTS:,} points")
+            raise UsdError("too-large", f"there are more than {limits.AGENTS:,} points below `{stage.prim}`")
         if frames not in (1, len(stage.frames)) or not np.isfinite(positions).all():
             raise ProtocolError("`places` has other frames, or a point that is not finite")
         keys, words = answer.texts("values", 10_000), answer.texts("texts", 10_000)
@@ -134,6 +134,6 @@ def read_usd_camera(stage: UsdStage) -> UsdCamera:
     answer = stage.ask("usd-camera")
     at = answer.array("at", "f8", None, 3)
     if len(at) not in (1, len(stage.frames)):
-        raise ProtocolError("`at` has other frames")
+        raise ProtocolError("`at` has the wrong frames")
     look_at, up = (answer.array(name, "f8", len(at), 3) for name in ("look_at", "up"))
     return UsdCamera(at, look_at, up, answer.array("focal", "f8", len(at)))

@@ -174,7 +174,7 @@ class Closure:
         """Copy a file that a layer names. Raises UsdError for an address, or for a text that is evaluated on opening."""
         named = f"`{_shorten(asset)}`{_naming_phrase(place)}"
         if "`" in asset or ":SDF_FORMAT_ARGS:" in asset:
-            raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path out", "usd")
+            raise UsdError("bad-path", f"{named} is an expression, not a file", "write the path in full", "usd")
         if _ADDRESS.match(asset):
             raise UsdError("bad-path", f"{named} is an address, not a file", "copy the file beside the others", "usd")
         outer, mark, inner = asset.partition("[")

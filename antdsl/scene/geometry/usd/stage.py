@@ -79,7 +79,7 @@ class UsdStage:
 
     def make_answer_error(self, why: ProtocolError) -> UsdError:
         """An error for an answer that is not what was requested."""
-        return self.make_error(f"cannot be read: the reader's answer makes no sense ({why})", "export it again")
+        return self.make_error(f"cannot be read: the reader sent an invalid answer ({why})", "export it again")
 
 
 def open_stage(

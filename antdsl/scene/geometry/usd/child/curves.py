@@ -41,7 +41,7 @@ def curve_positions(stage: OpenStage) -> Floats:
     prim, curve = curves[0], geom.BasisCurves(curves[0])
     counts = list(curve.GetCurveVertexCountsAttr().Get(stage.first) or [])
     if len(counts) != 1:
-        raise UsdError("bad-usd", f"`{prim.GetPath()}` holds {len(counts)} curves, not one", "split it into one prim a curve")
+        raise UsdError("bad-usd", f"`{prim.GetPath()}` holds {len(counts)} curves, not one", "split it into one prim per curve")
     bends = len(stage.times) > 1 and (
         curve.GetPointsAttr().ValueMightBeTimeVarying() or curve.GetCurveVertexCountsAttr().ValueMightBeTimeVarying()
     )
@@ -68,13 +68,15 @@ def _read_polyline(curve: Any, time: Any, prim: Any) -> Floats:
     points = np.array([] if point_values is None else point_values, np.float64).reshape(-1, 3)
     counts = list(curve.GetCurveVertexCountsAttr().Get(time) or [])
     if counts != [len(points)] or len(points) < 2:
-        raise UsdError("bad-usd", f"`{prim.GetPath()}` has {len(points):,} points where its curve says {counts}")
+        raise UsdError("bad-usd", f"`{prim.GetPath()}` has {len(points):,} points, but its curve needs {counts}")
     wrap = curve.GetWrapAttr().Get(time)
     if curve.GetTypeAttr().Get(time) == "linear":
         return np.concatenate([points, points[:1]]) if wrap == "periodic" else points
     basis = curve.GetBasisAttr().Get(time)
     if basis not in _BASES:
-        raise UsdError("bad-usd", f"the curve `{prim.GetPath()}` has the basis `{basis}`", "use bezier, bspline or catmullRom")
+        raise UsdError(
+            "bad-usd", f"the curve `{prim.GetPath()}` has the unsupported basis `{basis}`", "use bezier, bspline or catmullRom"
+        )
     return _cut_cubic(points, basis, wrap, prim)
 
 
@@ -87,7 +89,7 @@ def _cut_cubic(points: Floats, basis: str, wrap: str, prim: Any) -> Floats:
         points = np.concatenate([[2 * points[0] - points[1]], points, [2 * points[-1] - points[-2]]])
     pieces = (len(points) - 4) // step + 1
     if len(points) < 4 or (len(points) - 4) % step:
-        raise UsdError("bad-usd", f"`{prim.GetPath()}` has a number of points that no {basis} curve has")
+        raise UsdError("bad-usd", f"`{prim.GetPath()}` has a number of points that no {basis} curve can have")
     t = np.arange(_PIECES) / _PIECES
     powers = np.stack([np.ones_like(t), t, t * t, t * t * t], axis=1)
     factors = np.array(weights, np.float64) / divisor

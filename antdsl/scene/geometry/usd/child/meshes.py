@@ -58,7 +58,7 @@ def join_meshes(stage: OpenStage, primvars: Iterable[str] = ()) -> JoinedMesh:
         points += len(shape.points) * shape.count
         if faces > limits.MESH_FACES or points > 3 * limits.MESH_FACES:
             words = f"the meshes below `{path}` have {faces:,} faces and {points:,} points"
-            most = f"more than {limits.MESH_FACES:,} faces or {3 * limits.MESH_FACES:,} points are not read"
+            most = f"more than {limits.MESH_FACES:,} faces or {3 * limits.MESH_FACES:,} points are not supported"
             raise UsdError("too-large", f"{words}; {most}", "name a part of it")
         if len(shape.faces):
             shapes.append(shape)

@@ -25,7 +25,7 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     clouds = [prim for prim in stage.visible_prims(stage.prim) if prim.IsA(geom.Points)] if kind is None else []
     empties = [] if clouds else _placed_children(stage) if kind is None else _prims_of_kind(stage, kind)
     if len(empties) > limits.AGENTS:
-        raise UsdError("too-large", f"below `{stage.prim.GetPath()}` are more than {limits.AGENTS:,} places")
+        raise UsdError("too-large", f"there are more than {limits.AGENTS:,} places below `{stage.prim.GetPath()}`")
     check_bytes(len(empties) * len(stage.times) * 24, f"the places below `{stage.prim.GetPath()}`")
     parts = [_read_cloud(stage, prim) for prim in clouds] or [_read_empty(stage, prim) for prim in empties]
     if not parts:
@@ -34,7 +34,7 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
         )
     counts = [part.positions.shape[1] for part in parts]
     if sum(counts) > limits.AGENTS:
-        raise UsdError("too-large", f"below `{stage.prim.GetPath()}` are more than {limits.AGENTS:,} points")
+        raise UsdError("too-large", f"there are more than {limits.AGENTS:,} points below `{stage.prim.GetPath()}`")
     frames = max(len(part.positions) for part in parts)
     check_bytes(sum(counts) * frames * 24, f"the points below `{stage.prim.GetPath()}`")
     positions = np.concatenate([np.broadcast_to(p.positions, (frames, n, 3)) for p, n in zip(parts, counts, strict=True)], axis=1)
@@ -142,7 +142,9 @@ def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
         name = str(attribute.GetName()).removeprefix(f"{_USER}:")
         value = attribute.Get(stage.first) if ":" not in name and hasattr(attribute, "HasValue") else None
         if isinstance(value, float) and not np.isfinite(value):
-            raise UsdError("bad-usd", f"`{name}` of `{prim.GetPath()}` is {value:g}, no finite number", "give it another", "usd")
+            raise UsdError(
+                "bad-usd", f"`{name}` of `{prim.GetPath()}` is {value:g}, which is not finite", "give it a finite one", "usd"
+            )
         if isinstance(value, bool | int | float):
             values[name] = np.full(1, float(value))
         elif isinstance(value, str) and len(value) <= limits.NAME_CHARACTERS:

@@ -48,7 +48,7 @@ class PlaceCount:
     def _check(self, total: int, what: str) -> None:
         if total > limits.USD_INSTANCES:
             words = f"the point instancers below `{self.path}` come to {total:,} {what}, more than {limits.USD_INSTANCES:,}"
-            raise UsdError("too-large", words, "name a part of it, or scatter fewer")
+            raise UsdError("too-large", words, "name a part of it, or scatter fewer instances")
 
 
 def placed_meshes(stage: OpenStage) -> Iterator[PlacedMesh]:
@@ -74,7 +74,7 @@ def unread_shape_types(stage: OpenStage) -> list[str]:
 def _placed_instances(stage: OpenStage, prim: Any, transforms: Floats, count: PlaceCount, depth: int) -> Iterator[PlacedMesh]:
     """Yield the meshes that a point instancer places. `transforms` transform from the instancer's space to the scene."""
     if depth > _NESTED:
-        raise UsdError("too-large", f"`{prim.GetPath()}` has point instancers more than {_NESTED} deep in each other")
+        raise UsdError("too-large", f"`{prim.GetPath()}` has point instancers nested more than {_NESTED} levels deep")
     instancer = pxr("UsdGeom").PointInstancer(prim)
     index = np.array(instancer.GetProtoIndicesAttr().Get(stage.first) or [], np.int64)
     if not len(index):
@@ -82,7 +82,7 @@ def _placed_instances(stage: OpenStage, prim: Any, transforms: Floats, count: Pl
     chosen = _find_unmasked(stage, instancer, len(index))
     roots = [prim.GetStage().GetPrimAtPath(path) for path in instancer.GetPrototypesRel().GetForwardedTargets()]
     if index.min() < 0 or index.max() >= len(roots):
-        raise UsdError("bad-usd", f"`{prim.GetPath()}` names a prototype that it does not have")
+        raise UsdError("bad-usd", f"`{prim.GetPath()}` refers to a missing prototype")
     count.add_instances(len(index) * len(transforms))
     own = _instance_transforms(stage, instancer, len(index))
     for number, root in enumerate(roots):
@@ -125,18 +125,20 @@ def _instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats
     for k, time in enumerate(times):
         code = usd.TimeCode(time)
         if k and list(instancer.GetProtoIndicesAttr().Get(code) or []) != first:
-            raise UsdError("moving-topology", f"the instances of `{path}` come, go or change their shape over time", BAKE)
+            raise UsdError(
+                "moving-topology", f"the instances of `{path}` appear, disappear or change their shape over time", BAKE
+            )
         matrices = instancer.ComputeInstanceTransformsAtTime(
             code, code, pxr("UsdGeom").PointInstancer.IncludeProtoXform, pxr("UsdGeom").PointInstancer.IgnoreMask
         )
         if len(matrices) != count:
-            raise UsdError("bad-usd", f"`{path}` has not one position for each of its {count:,} instances")
+            raise UsdError("bad-usd", f"`{path}` does not have one position for each of its {count:,} instances")
         rows = np.array(matrices, np.float64).reshape(count, 4, 4)
         transforms[:, k] = rows[:, :, :3].transpose(0, 2, 1)
     return transforms
 
 
-BAKE = "write it out with one set of faces for all frames, or name a part that keeps its faces"
+BAKE = "export it with one set of faces for all frames, or name a part that keeps its faces"
 
 
 def _prototype_meshes(stage: OpenStage, root: Any) -> Iterator[tuple[Any, Floats]]:

@@ -123,7 +123,7 @@ def _open_layer(
     for layer in stage.GetUsedLayers():
         own = os.path.realpath(str(layer.identifier).partition("[")[0])
         if not layer.anonymous and not own.startswith(folder + os.sep):
-            raise UsdError("bad-path", f"`{text}` uses a file that is not below the granted roots", None, "usd")
+            raise UsdError("bad-path", f"`{text}` uses a file that is outside the granted roots", None, "usd")
     stage_prim = stage.GetPrimAtPath(place)
     if not stage_prim or not stage_prim.IsActive():
         raise _missing_prim_error(top, text, place, bool(stage_prim))
@@ -135,7 +135,7 @@ def _open_layer(
     factor = float(geom.GetStageMetersPerUnit(stage)) * 1000.0
     for name, value in (("timeCodesPerSecond", rate), ("metersPerUnit", factor / 1000.0)):
         if not 1e-12 < value < 1e12:
-            words = f"`{text}` says `{name} = {value:g}`, which cannot be"
+            words = f"`{text}` has `{name} = {value:g}`, which is not valid"
             raise UsdError("bad-usd", words, f"give it a `{name}` above 0", "usd")
     times = tuple(float(Fraction(frame) / fps) * rate for frame in frames)
     return OpenStage(stage_prim, _scene_transform(factor, str(geom.GetStageUpAxis(stage)).lower(), up), times, purpose, stage)
@@ -145,10 +145,10 @@ def _check_prim_count(stage: Any, text: str, prim: str) -> None:
     usd = pxr("Usd")
     for number, descendant in enumerate(usd.PrimRange(stage.GetPseudoRoot(), usd.TraverseInstanceProxies())):
         if number >= limits.USD_PRIMS:
-            words = f"`{text}` comes to more than {limits.USD_PRIMS:,} prims for `{prim}`"
+            words = f"`{text}` has more than {limits.USD_PRIMS:,} prims for `{prim}`"
             raise UsdError("too-large", words, "name a smaller part of it")
         if descendant.GetPath().pathElementCount > limits.USD_LEVELS:
-            words = f"`{text}` comes to prims more than {limits.USD_LEVELS} levels deep for `{prim}`"
+            words = f"`{text}` has prims more than {limits.USD_LEVELS} levels deep for `{prim}`"
             raise UsdError("bad-usd", words, "name a smaller part of it")
 
 
@@ -170,7 +170,7 @@ def _missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> Usd
     from antdsl.diagnostics.suggestion import nearest_name
 
     if inactive:
-        return UsdError("no-such-prim", f"the prim `{path}` of `{text}` is switched off", "make it active, or name another")
+        return UsdError("no-such-prim", f"the prim `{path}` of `{text}` is inactive", "make it active, or name another")
     usd = pxr("Usd")
     above = path.GetParentPath()
     while True:
@@ -185,7 +185,7 @@ def _missing_prim_error(layer: Any, text: str, path: Any, inactive: bool) -> Usd
     if near:
         help: str | None = f"did you mean `{above.AppendChild(near)}`?"
     else:
-        help = f"below `{above}` are: " + ", ".join(f"`{name}`" for name in names[:12]) if names else None
+        help = f"available below `{above}`: " + ", ".join(f"`{name}`" for name in names[:12]) if names else None
     return UsdError("no-such-prim", f"there is no prim `{path}` in `{text}`", help)
 
 
@@ -207,7 +207,7 @@ def read_layer(request: Message) -> Answer:
             spec = layer.GetObjectAtPath(place)
             if spec is not None and spec.HasInfo("clips"):
                 # they are opened when a value is read, which nothing could check before
-                words = f"`{place}` of `{text}` has value clips, which are not read"
+                words = f"`{place}` of `{text}` has value clips, which are not supported"
                 raise UsdError("bad-usd", words, "flatten the file: `usdcat --flatten`", "usd")
     return {"assets": sorted(filter(None, layer.GetCompositionAssetDependencies()))}, {}  # an empty one names the layer itself
 
@@ -224,7 +224,7 @@ def open_layer(path: str, folder: str, text: str) -> Any:
 
 
 def _checked_layer(path: str, folder: str, text: str) -> Any:
-    why = "it is of no kind that USD knows"
+    why = "it is not a format that USD knows"
     try:
         layer = pxr("Sdf").Layer.FindOrOpen(path)
         if layer is not None:
