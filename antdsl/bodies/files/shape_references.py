@@ -196,7 +196,7 @@ def _with_blend(values: Values, node: Node, entries: Mapping[str, Node], shape: 
             return shape
         for number in np.flatnonzero((weights == 0) | (weights == 1)):
             words = f"the in-between shape `{names[number]}` has the weight {weights[number]:g}, "
-            words += f"which is reserved for complete shapes"
+            words += "which is reserved for complete shapes"
             values.report.error("out-of-range", words, values.span(entries["blendshape_inbetweenweights"]), "write `0.5`")
         return replace(shape, between=InBetweens(names, tuple(map(float, weights))))
     channels = _texts(values, entries.get("blendshape_channels"), "names of channels")

@@ -39,7 +39,7 @@ def place_items(staging: Staging, name: str, surfaces: Mapping[str, stage_of.Mes
         if track is None:
             continue
         radius = None if placing.radius is None else placing.radius.length(model.unit_mm)
-        attributes = {key: quantity.base(model.unit_mm, dt) for key, quantity in (placing.model_extra or {}).items()}
+        attributes = {key: quantity.to_base_units(model.unit_mm, dt) for key, quantity in (placing.model_extra or {}).items()}
         position = three(track[0])
         items.append(stage_of.ItemData(item, position, DEFAULT_ITEM_RADIUS if radius is None else radius, attributes))
         tracks.append(track)
@@ -132,7 +132,7 @@ def _place_usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldT
         return None
     model = staging.scene.model
     dt = float(1 / model.fps)
-    each = {key: quantity.base(model.unit_mm, dt) for key, quantity in (value.each.model_extra or {}).items()}
+    each = {key: quantity.to_base_units(model.unit_mm, dt) for key, quantity in (value.each.model_extra or {}).items()}
     radius = None if value.each.radius is None else value.each.radius.length(model.unit_mm)
     own = {a.name: a.type.dim for a in thing.attributes if a.type.kind is Kind.NUMBER}
     file = UsdFile(staging, value.usd, staging.scene.span("world", name, "usd"), points)
