@@ -14,7 +14,7 @@ class InThisProcess:
     """In place of `Processes`; keeps the tasks that it was given."""
 
     def __init__(self, count: int = 1, threads: int = 1) -> None:
-        self.at_once, self.tasks, self._worker = count, list[Task](), Worker(threads)
+        self.task_capacity, self.tasks, self._worker = count, list[Task](), Worker(threads)
 
     def start(self) -> Executor:
         return Executor()

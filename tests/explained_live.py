@@ -61,7 +61,7 @@ class Notes:
                 population = self.session.world.populations[fact.species]
                 row = int(population.rows_of(np.array([fact.agent]))[0])
                 velocity = None if row < 0 else tuple(population.now[f"velocity.{axis}"][row] for axis in "xyz")
-                self.facts.append(replace(fact, after=velocity, hash=self.session.hash))
+                self.facts.append(replace(fact, next_velocity=velocity, hash=self.session.hash))
 
     def explained_otherwise(self, count: int) -> dict[tuple[str, int, int], list[str]]:
         """In what explanations of so many facts, picked at random, differ from them."""

@@ -253,7 +253,9 @@ def find_walls(ground, crowd, agents: list[Agent]) -> None:
     looks = [(agents[i], ahead) for i in rows for ahead in agents[i].looks()]
     if looks:
         origins = np.array([agent.place + agent.normal * (0.06 * agent.half) for agent, _ in looks])
-        hit, parts, normals = ground.meshes.faced(origins, np.array([ahead * (3 * agent.half) for agent, ahead in looks]), 1)
+        hit, parts, normals = ground.meshes.trace_normals(
+            origins, np.array([ahead * (3 * agent.half) for agent, ahead in looks]), 1
+        )
         for k, part, normal in zip(hit, parts, normals.T, strict=True):
             looks[k][0].meet(looks[k][1], part, normal)
 

@@ -111,7 +111,7 @@ def perform_on_worker(work: Work, text: str, name: str, key: str, attempt: int) 
             said = time.monotonic()
             dask_worker.log_event(name, {"key": key, "frame": frame})
 
-    project.worker.told = report_frame
+    project.worker.report_frame = report_frame
     try:
         return perform(work, text, project.worker)
     except OSError as why:

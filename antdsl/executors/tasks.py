@@ -78,7 +78,7 @@ class Executors(Protocol):
         """Return a new executor, in place of a broken one."""
 
     def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
-        """Submit a task. `place`: a number below `at_once` that no other running task has."""
+        """Submit a task. `place`: a number below `task_capacity` that no other running task has."""
 
     def frame(self, place: int) -> int | None:
         """Return the current frame of the task at a place, if known."""

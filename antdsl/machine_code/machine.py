@@ -182,8 +182,8 @@ class Code:
         location: int = self._engine.get_function_address(name)
         return location
 
-    def read_text(self, name: str) -> str:
-        """The text of a constant."""
+    def constant_text(self, name: str) -> str:
+        """Return the text of a constant."""
         return ctypes.string_at(self.constant_address(name)).decode("utf-8", "surrogateescape")
 
     def constant_address(self, name: str) -> int:

@@ -124,9 +124,7 @@ OPS: dict[str, Operation] = {
     "id": Operation("", (), L, _A, "the agent's own id"),
     "age": Operation("", (), F, _A, "seconds since birth"),
     "draw": Operation("", ("site", "index"), F, _A, "uniform in [0, 1): a function of seed, frame, species, id, site, index"),
-    "draw.agent": Operation(
-        "", ("site", "species"), L, _A, "the id of one living agent of the species, evenly; -1 if there is none"
-    ),
+    "draw.agent": Operation("", ("site", "species"), L, _A, "the id of one living agent of the species, evenly; -1 for none"),
     "event": Operation("", ("name",), B, _A, "the event reached this agent in the step before"),
     "surface.touching": Operation("", ("name",), B, _A, "the agent stands on that surface"),
     # references to other agents and to items
@@ -163,9 +161,7 @@ OPS: dict[str, Operation] = {
     "pair.z": Operation("", (), F, _P, "other's z - own z"),
     "pair.distance": Operation("", (), F, _P, "sqrt((x*x + y*y) + z*z)"),
     # reductions: set, condition (BOOL), body where there is one. Sums are exact: decision 23 of the language reference
-    "reduce.sum": Operation(
-        "sbf", ("quantum",), F, _A, "each term rounded to a multiple of 2**quantum, then added exactly; 0 for none"
-    ),
+    "reduce.sum": Operation("sbf", ("quantum",), F, _A, "terms rounded to multiples of 2**quantum, added exactly; 0 for none"),
     "reduce.min": Operation("sbf", (), F, _A, "inf for none"),
     "reduce.max": Operation("sbf", (), F, _A, "-inf for none"),
     "reduce.count": Operation("sb", (), F, _A, "how many"),
@@ -353,9 +349,7 @@ class SpeciesPlan:
     rests: Mapping[str, Node] = field(default_factory=dict)  # of values per pair what they begin with and return to, rate RUN
     clips: tuple[ClipPlan, ...] = ()  # what its states play: registers of clips count these
     wears: tuple[str, ...] = ()  # layers of its body that states show: registers `wear#LAYER`
-    channels: tuple[
-        str, ...
-    ] = ()  # channels of its body that states set: `channel#NAME`, and `channel#NAME.said` whether they do
+    channels: tuple[str, ...] = ()  # of its body, that states set: `channel#NAME`, and `channel#NAME.said` whether they do
     looks: tuple[str, ...] = ()  # transform groups that states turn to something: `look#GROUP.x`, `.y`, `.z`
 
 

@@ -218,7 +218,7 @@ def _migrate_counts(old: World, world: World) -> None:
 
 
 def migration_line(migration: Migration) -> str:
-    """Return the changes in one line, the number of agents first, such as "… · 12 more of `forager` · `load` is new"."""
+    """Return the changes in one line, the number of agents first, such as "… · 12 `forager` added · `load` is new"."""
     parts = [f"kept {migration.agents:,} {_agent_word(migration.agents)}"]
     several = len(migration.species) > 1
     for migrated in migration.species:

@@ -139,18 +139,15 @@ class Motion:
         self.steps += 1
 
     def _add_step(self, world: World, population: Population) -> None:
-        window = self._window(population)
-        steps = max(1, round(_WINDOW / world.dt))
-        straight = self._count_kernel_step(population, window, np.float32(world.dt), steps, world.options.threads)
+        window, steps = self._window(population), max(1, round(_WINDOW / world.dt))
+        straight = self._run_step(population, window, np.float32(world.dt), steps, world.options.threads)
         self.wishing += len(population)
         if len(straight):
             self.ways += len(straight)
             self.circling += int(np.count_nonzero(straight < _CIRCLING))
             self.straightness += fsum(straight)  # the same in any order of rows
 
-    def _count_kernel_step(
-        self, population: Population, window: Window, dt: np.float32, steps: int, threads: int
-    ) -> NDArray[np.float64]:
+    def _run_step(self, population: Population, window: Window, dt: np.float32, steps: int, threads: int) -> NDArray[np.float64]:
         """Add a step to the counts and the paths; return the straightness of the paths that have ended, 0 to 1."""
         now, start = _NOW(population.now), _START(population.start)
         poses = (now[0:3], now[3:6], now[6:9], start[0:3], start[3:6], start[6:9])
@@ -206,9 +203,8 @@ class Motion:
         return fresh
 
     def _measure_bodies(self, world: World, with_depths: bool, crowds: list[Population]) -> None:
-        """Measure, if `with_depths`, how far trunks penetrate each other. Of some crowds, also measure how far agents overlap (0
-        apart, 1 at one position, for the worst neighbour), and which heads are inside the ground. The measures run separately, in
-        parallel."""
+        """Measure, in parallel, how far trunks penetrate each other if `with_depths`, and of some crowds how far agents overlap
+        (0 apart, 1 at one position, for the worst neighbour) and which heads are inside the ground."""
         looks: list[Callable[[], NDArray[Any]]] = [partial(overlap_depths, world)] if with_depths else []
         for population in crowds:
             now = population.now

@@ -342,10 +342,8 @@ def publish_state(population: Population, threads: int, rows: NDArray[np.intp] |
     start, now = population.start, population.now
     if rows is not None:
         _pick_columns(population, rows)
-        picked = [
-            (start[name] if start[name] is not array else padded_empty(len(rows), array.dtype), array)
-            for name, array in now.items()
-        ]
+        n = len(rows)
+        picked = [(padded_empty(n, own.dtype) if start[name] is own else start[name], own) for name, own in now.items()]
         copy_rows(picked, rows, threads)
         for name, (to, array) in zip(now, picked, strict=True):
             if start[name] is array:
@@ -375,15 +373,13 @@ def _pick_vectors(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]
     return picked.T
 
 
-def add_rows(
-    population: Population, ids: NDArray[np.int64], frame: int, position: NDArray[np.float64], footing: Footing
-) -> slice:
+def add_rows(population: Population, ids: NDArray[np.int64], frame: int, place: NDArray[np.float64], footing: Footing) -> slice:
     """Append agents with all registers zero; return their rows."""
     old, count = len(population), len(ids)
     population.ids = np.concatenate([population.ids, ids])
     population.born = np.concatenate([population.born, np.full(count, frame, np.int64)])
     population.quarantined = np.concatenate([population.quarantined, np.zeros(count, np.bool_)])
-    population.position = np.concatenate([population.position, position])
+    population.position = np.concatenate([population.position, place])
     population.normal = np.concatenate([population.normal, np.zeros((count, 3), np.float32)])
     population.footing = Footing.concatenate(population.footing, footing)
     for table in (population.events, population.raised):

@@ -188,19 +188,11 @@ def _check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dim, na
         return True
     expected_words = dimension_words(dim)
     if value.is_bare:
-        report.error(
-            "missing-unit",
-            f"`{name}` is {expected_words}, and `{value.text}` has no unit",
-            scene.span(*path),
-            f"write `{with_unit(value.number, dim)}`",
-        )
+        message, help = f"`{name}` is {expected_words}, and `{value.text}` has no unit", f"write `{with_unit(value.number, dim)}`"
+        report.error("missing-unit", message, scene.span(*path), help)
     elif not default_unit(dim):
-        report.error(
-            "wrong-unit",
-            f"`{name}` is {expected_words}, not {dimension_words(value.dim)}",
-            scene.span(*path),
-            "write the number alone",
-        )
+        message = f"`{name}` is {expected_words}, not {dimension_words(value.dim)}"
+        report.error("wrong-unit", message, scene.span(*path), "write the number alone")
     else:
         message = f"`{name}` is {expected_words}, not {dimension_words(value.dim)}"
         report.error("wrong-unit", message, scene.span(*path), f"write a value in `{default_unit(dim)}`")

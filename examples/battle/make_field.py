@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, joined, sheet, stone, waves
+from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -30,7 +30,7 @@ def relief(x: Array, z: Array) -> Array:
     ridge = (30.0 - 17.0 * np.exp(-(((z - 10.0) / 55.0) ** 2))) * np.exp(-(((x - crest) / 46.0) ** 2))
     rises = sum(12.0 * np.exp(-(((x - cx) ** 2 + z**2) / 60.0**2)) for cx in (-160.0, 160.0))
     flat = np.stack([x, z], axis=1)
-    return ridge + rises + 6.0 * waves(flat, 5, 150.0, 3, fade=0.45) + 0.5 * waves(flat, 6, 24.0, 2)
+    return ridge + rises + 6.0 * wave_noise(flat, 5, 150.0, 3, fade=0.45) + 0.5 * wave_noise(flat, 6, 24.0, 2)
 
 
 def field() -> Mesh:
@@ -46,7 +46,7 @@ def stones() -> Mesh:
         vertices, faces = stone(seed, radii, detail=2)
         height = float(relief(np.array([x]), np.array([z]))[0])
         parts.append((vertices + np.array([x, height + 0.5 * radii[1], z]), faces))
-    return joined(parts)
+    return join_meshes(parts)
 
 
 def write(name: str, mesh: Mesh) -> None:

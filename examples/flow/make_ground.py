@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, joined, sheet, stone, waves
+from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -33,7 +33,7 @@ def relief(x: Array, z: Array) -> Array:
     """Height: a ridge from the far left to the near right, a hollow about the nest, and waves."""
     ridge = 34.0 * np.exp(-(((x - z) / 1.41 / 60.0) ** 2)) * np.exp(-((np.hypot(x, z) / 190.0) ** 4))
     hollow = 14.0 * np.exp(-((np.hypot(x - NEST[0], z - NEST[1]) / 70.0) ** 2))
-    return ridge - hollow + 3.0 * waves(np.stack([x, z], axis=1), 5, 120.0, 3, fade=0.45)
+    return ridge - hollow + 3.0 * wave_noise(np.stack([x, z], axis=1), 5, 120.0, 3, fade=0.45)
 
 
 def damp(x: Array, z: Array) -> Array:
@@ -54,7 +54,7 @@ def stones() -> Mesh:
         vertices, faces = stone(seed, radii, detail=3)
         height = float(relief(np.array([x]), np.array([z]))[0])
         parts.append((vertices + np.array([x, height + 0.45 * radii[1], z]), faces))
-    return joined(parts)
+    return join_meshes(parts)
 
 
 def write(name: str, mesh: Mesh, **attributes: Array) -> None:

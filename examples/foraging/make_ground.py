@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, joined, sheet, stone, waves
+from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -58,7 +58,7 @@ def relief(x: Array, z: Array) -> Array:
     gully = x + 165.0 + 28.0 * np.sin(z / 62.0) - 0.25 * z  # runs along z, west of the nest
     y -= 26.0 * np.exp(-((gully / 24.0) ** 2)) * smooth(z, -120.0, -20.0)
     flat = np.stack([x, z], axis=1)
-    return y + 7.0 * waves(flat, 3, 210.0, 3, fade=0.45) + 0.55 * waves(flat, 4, 26.0, 2)
+    return y + 7.0 * wave_noise(flat, 3, 210.0, 3, fade=0.45) + 0.55 * wave_noise(flat, 4, 26.0, 2)
 
 
 def terrain(lines: int = 146) -> Mesh:
@@ -77,14 +77,14 @@ def terrain(lines: int = 146) -> Mesh:
 
 def boulder() -> Mesh:
     vertices, faces = stone(31, (68.0, 52.0, 60.0), detail=4, roughness=0.13)
-    vertices += 0.9 * waves(vertices, 32, 22.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    vertices += 0.9 * wave_noise(vertices, 32, 22.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
     return on_ground(vertices, *BOULDER, sunk=2.0), faces
 
 
 def stones() -> Mesh:
     """The obstacles, each sunk by a quarter of its height."""
     parts = [(stone(seed, radii, detail=2), (x, z), radii[1]) for x, z, radii, seed in STONES]
-    return joined([(on_ground(vertices, x, z, sunk=-0.45 * high), faces) for (vertices, faces), (x, z), high in parts])
+    return join_meshes([(on_ground(vertices, x, z, sunk=-0.45 * high), faces) for (vertices, faces), (x, z), high in parts])
 
 
 def on_ground(vertices: Array, x: float, z: float, sunk: float) -> Array:

@@ -14,7 +14,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, joined, sheet, stone
+from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -64,7 +64,7 @@ def stones() -> Mesh:
         vertices, faces = stone(seed, radii, detail=2)
         height = float(relief(np.array([x]), np.array([z]))[0])
         parts.append((vertices + np.array([x, height + 0.45 * radii[1], z]), faces))
-    return joined(parts)
+    return join_meshes(parts)
 
 
 def write(name: str, mesh: Mesh) -> None:

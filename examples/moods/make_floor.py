@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, joined, sheet, stone, waves
+from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 STONES = (  # x, z, half axes, seed
@@ -20,7 +20,7 @@ STONES = (  # x, z, half axes, seed
 
 
 def height(x: NDArray[np.float64], z: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.asarray(5.0 * waves(np.stack([x, z], axis=1), 9, 240.0, 2))
+    return np.asarray(5.0 * wave_noise(np.stack([x, z], axis=1), 9, 240.0, 2))
 
 
 def on_floor(x: float, z: float) -> float:
@@ -37,7 +37,7 @@ def floor(lines: int = 61) -> Mesh:
 def stones() -> Mesh:
     """Half sunk, so that nobody gets beneath."""
     parts = [(stone(seed, axes, detail=2), (x, z)) for x, z, axes, seed in STONES]
-    return joined([(points + np.array([x, on_floor(x, z), z]), faces) for (points, faces), (x, z) in parts])
+    return join_meshes([(points + np.array([x, on_floor(x, z), z]), faces) for (points, faces), (x, z) in parts])
 
 
 def write(name: str, mesh: Mesh) -> None:

@@ -17,7 +17,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, joined, sheet, stone, waves
+from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Array = NDArray[np.float64]
@@ -49,7 +49,7 @@ WAY_OUT = [[-150.0, 0.0, 0.0], [-125.0, 0.0, 1.0], [-95.0, 0.0, 0.0], [-60.0, 0.
 def relief(x: Array, z: Array) -> Array:
     bank = 24.0 / (1.0 + np.exp((146.0 + 6.0 * np.sin(x / 31.0) - np.abs(z)) / 6.0))
     flat = np.stack([x, z], axis=1)
-    return bank + 2.4 * waves(flat, 83, 110.0, 3) + 0.3 * waves(flat, 84, 15.0, 2)
+    return bank + 2.4 * wave_noise(flat, 83, 110.0, 3) + 0.3 * wave_noise(flat, 84, 15.0, 2)
 
 
 def terrain() -> Mesh:
@@ -60,7 +60,7 @@ def terrain() -> Mesh:
 
 def hill() -> Mesh:
     vertices, faces = stone(85, (33.0, 36.0, 72.0), detail=5, roughness=0.1)
-    vertices += 0.8 * waves(vertices, 86, 16.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
+    vertices += 0.8 * wave_noise(vertices, 86, 16.0, 2)[:, None] * vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
     return vertices + np.array([0.0, -2.0, 0.0]), faces
 
 
@@ -87,7 +87,7 @@ def bottle() -> Mesh:
 
 def stones() -> Mesh:
     """The obstacles, each sunk by a quarter of its height."""
-    return joined([on_ground(stone(seed, radii, detail=2), x, z, sunk=-0.45 * radii[1]) for x, z, radii, seed in STONES])
+    return join_meshes([on_ground(stone(seed, radii, detail=2), x, z, sunk=-0.45 * radii[1]) for x, z, radii, seed in STONES])
 
 
 def write(name: str, mesh: Mesh) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import NDArray
 
-from antdsl.bodies.shapes import Mesh, joined, sheet, stone, waves
+from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 Floats = NDArray[np.float64]
@@ -95,7 +95,7 @@ def stones() -> Mesh:
     for x, y, z, *radii, seed in STACK:
         vertices, faces = stone(int(seed), (radii[0], radii[1], radii[2]), detail=2)
         parts.append((vertices + np.array([x, y, z], float), faces))
-    return joined(parts)
+    return join_meshes(parts)
 
 
 def moebius(along: int = 72, across: int = 6) -> Mesh:
@@ -116,7 +116,7 @@ def rag() -> Mesh:
     """An open sheet with waves, with a border all round it and another round a hole."""
     line = np.linspace(-28.0, 28.0, 25)
     vertices, faces = sheet(line, line)
-    vertices[:, 1] = 20.0 + 4.0 * waves(vertices[:, [0, 2]], 5, 40.0, 2)
+    vertices[:, 1] = 20.0 + 4.0 * wave_noise(vertices[:, [0, 2]], 5, 40.0, 2)
     middle = vertices[faces].mean(axis=1)
     return vertices, faces[np.hypot(middle[:, 0] - 4.0, middle[:, 2] + 3.0) > 8.0]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from antdsl.bodies.shapes import Mesh, joined, sheet, stone, waves
+from antdsl.bodies.shapes import Mesh, join_meshes, sheet, stone, wave_noise
 
 HERE = Path(__file__).parent
 STONES = (  # x, z, half axes, seed
@@ -20,7 +20,7 @@ STONES = (  # x, z, half axes, seed
 def floor(lines: int = 41) -> Mesh:
     line = np.linspace(-200.0, 200.0, lines)
     vertices, faces = sheet(line, line)
-    vertices[:, 1] = 3.0 * waves(vertices[:, [0, 2]], 7, 120.0, 2)
+    vertices[:, 1] = 3.0 * wave_noise(vertices[:, [0, 2]], 7, 120.0, 2)
     return vertices, faces
 
 
@@ -32,4 +32,4 @@ def write(name: str, mesh: Mesh) -> None:
 if __name__ == "__main__":
     write("floor.ply", floor())
     parts = [(stone(seed, axes, detail=2), (x, z)) for x, z, axes, seed in STONES]
-    write("stones.ply", joined([(points + np.array([x, 0.0, z]), faces) for (points, faces), (x, z) in parts]))
+    write("stones.ply", join_meshes([(points + np.array([x, 0.0, z]), faces) for (points, faces), (x, z) in parts]))

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from pairs import Cost, main, once
+from pairs import Cost, main, measure_scene
 
 from antdsl.bench.ratios import Ratio, bootstrap_interval, measure_in_turn
 from antdsl.bench.scaling import gather_crowds, scale_setting
@@ -127,7 +127,7 @@ def test_what_cannot_be_scaled_is_refused() -> None:
 
 
 def test_costs_are_of_processor_time() -> None:
-    cost = once(EXAMPLES / "minimal" / "scene.yaml", 3, None)
+    cost = measure_scene(EXAMPLES / "minimal" / "scene.yaml", 3, None)
     assert 0 < cost.step < cost.setup
 
 

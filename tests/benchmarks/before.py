@@ -22,7 +22,7 @@ from pathlib import Path
 from statistics import mean
 from typing import Any
 
-from pairs import of_this_tree, ratios, scaled
+from pairs import of_this_tree, ratios, scale_setting
 
 ROOT = Path(__file__).resolve().parents[2]
 BLOCKS = ("decide", "act", "blend")
@@ -55,7 +55,7 @@ def shot_of(case: str, agents: int | None) -> tuple[Any, Any]:
         shot, report = open_scene(Path.cwd() / case)
     if shot is None:
         raise SystemExit("\n".join(diagnostic.message for diagnostic in report.errors))
-    setting = shot.setting if agents is None else scaled(shot.setting, agents)
+    setting = shot.setting if agents is None else scale_setting(shot.setting, agents)
     # An older tree has no contacts, and the frame that is written by hand has none.
     return shot.plan, replace(setting, contacts="off") if hasattr(setting, "contacts") else setting
 
@@ -166,7 +166,7 @@ def main() -> None:
             continue
         row = [f"{1000 * mean(each):.2f}" for each in costs]
         for one, two in ((1, 0), (2, 0), (2, 1)):
-            row.append(str(ratios.interval([a / b for a, b in zip(costs[one], costs[two], strict=True) if b])))
+            row.append(str(ratios.bootstrap_interval([a / b for a, b in zip(costs[one], costs[two], strict=True) if b])))
         print(f"| {phase} | " + " | ".join(row) + " |", flush=True)
 
 

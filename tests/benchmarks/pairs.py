@@ -36,7 +36,7 @@ def of_this_tree(name: str) -> Any:
     return module
 
 
-scaled = of_this_tree("scaling").scaled
+scale_setting = of_this_tree("scaling").scale_setting
 ratios = of_this_tree("ratios")
 
 
@@ -53,7 +53,7 @@ def measure_scene(scene: Path, steps: int, agents: int | None) -> Cost:
     shot, report = open_scene(scene)
     if shot is None:
         raise SystemExit("\n".join(diagnostic.message for diagnostic in report.errors))
-    setting = shot.setting if agents is None else scaled(shot.setting, agents)
+    setting = shot.setting if agents is None else scale_setting(shot.setting, agents)
     start_time = time.process_time()
     waits: dict[str, Any] = {"wait_for_code": True} if "wait_for_code" in {each.name for each in fields(Options)} else {}
     world = bind(shot.plan, setting, Options(threads=1, **waits))  # an older tree may have no machine code to wait for
@@ -93,11 +93,11 @@ def main() -> None:
     for scene in options.scenes:
         measure = partial(in_tree, scene=scene, steps=options.steps, agents=options.agents)
         turns = ratios.measure_in_turn(lambda tree, measure=measure: measure(trees[tree]), 2, options.pairs)
-        steps = ratios.interval([this.step / other.step for other, this in turns])
-        setups = ratios.interval([this.setup / other.setup for other, this in turns])
+        steps = ratios.bootstrap_interval([this.step / other.step for other, this in turns])
+        setups = ratios.bootstrap_interval([this.setup / other.setup for other, this in turns])
         milliseconds = 1000 * mean(this.step for _, this in turns)
         print(f"{scene}: a step {milliseconds:.2f} ms, {steps} of the other tree's; set-up {setups}", flush=True)
-        slower += [scene] if options.most is not None and steps.above(options.most) else []
+        slower += [scene] if options.most is not None and steps.is_above(options.most) else []
     if slower:
         raise SystemExit(f"a step takes more than {options.most:g} times as long: {', '.join(slower)}")
 

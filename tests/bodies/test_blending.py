@@ -230,7 +230,7 @@ def test_agents_of_different_trees_are_each_as_alone() -> None:
         count = len(trees[tree].layers)
         alone = one(trees[tree], clips[:count], weights[:count], layers[: len(trees[tree].modes)])
         assert alone.world[0].tobytes() == poses.world[k].tobytes()
-    with pytest.raises(ValueError, match=r"`weights` of 4 agents is \(4, 1\) where \[4, 2 or more\] is needed"):
+    with pytest.raises(ValueError, match=r"`weights` of 4 agents has the shape \(4, 1\); it must be \[4, 2 or more\]"):
         posed(clip_table(BODY), GROUPS, replace(playing, weights=playing.weights[:, :1]))
     with pytest.raises(IndexError, match="trees are numbered from 0 to 2"):
         posed(clip_table(BODY), GROUPS, replace(playing, tree=np.array([0, 1, 2, 3], np.int32)))
@@ -263,18 +263,18 @@ def test_lists_that_do_not_fit_are_refused_by_the_agent() -> None:
         playing_of(table, two, names, np.zeros(3), zeros)
     with pytest.raises(ValueError, match="agent 1: 0 layers have the parent -1"):
         playing_of(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int), zeros, np.array([-1, 0]))
-    with pytest.raises(ValueError, match="all of them or none"):
+    with pytest.raises(ValueError, match="give all three or none"):
         playing_of(table, two, names, zeros, zeros, None, None, two, np.zeros(2, int))
 
 
 @pytest.mark.parametrize("tree, why", [
     (dict(layers=(0,), groups=("",), parents=(0,)), "0 layers have the parent -1"),
     (dict(layers=(0,), groups=("",), modes=(0, 0), parents=(-1, -1)), "2 layers have the parent -1"),
-    (dict(layers=(0,), groups=("",), modes=(0, 0, 0), parents=(-1, 2, 1)), "layer 1 is an input of itself"),
-    (dict(layers=(0,), groups=("",), modes=(0, 0), parents=(-1, 2)), "one of 0 to 1"),
+    (dict(layers=(0,), groups=("",), modes=(0, 0, 0), parents=(-1, 2, 1)), "layer 1 is its own ancestor"),
+    (dict(layers=(0,), groups=("",), modes=(0, 0), parents=(-1, 2)), "a number from 0 to 1"),
     (dict(layers=(1,), groups=("",)), "input of no layer"),
     (dict(layers=(0,), groups=("",), modes=(3,)), "1 \\(additive\\) or 2"),
-    (dict(layers=(0,), groups=()), "each clip has a layer"),
+    (dict(layers=(0,), groups=()), "each clip needs a layer"),
 ])  # fmt: skip
 def test_what_is_no_tree_is_refused(tree: dict[str, tuple[int, ...]], why: str) -> None:
     with pytest.raises(ValueError, match=why):

@@ -152,7 +152,7 @@ def test_what_gltf_lacks_is_reported_and_the_rest_is_the_same(body: Definition, 
         "dual quaternion",
         "shear",
         "in-betweens",
-        "weigh no morph",
+        "drive no morph",
         "legs and gaits",
     ):
         assert words in note_text, note_text
@@ -218,7 +218,7 @@ def test_the_command_writes_and_refuses(tmp_path: Path) -> None:
     assert "note: transform groups are left out" in result.stdout and "walker.glb" in result.stdout
     original_bytes = (tmp_path / "walker.json").read_bytes()
     for words, message in (
-        (("walker.json",), "is read here"),
+        (("walker.json",), "is an input and would be lost"),
         (("a.fbx",), ".gltf"),
         (("a.glb", "--layer", "hat"), "no layer `hat`"),
     ):

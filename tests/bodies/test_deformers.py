@@ -292,7 +292,7 @@ def test_a_deformer_of_ones_own_is_used_by_its_name_alone_and_after_others(monke
     assert bound(built, Binding("", "face", deformer="swell"), poses).points[0].tolist() == (2 * FACE.points).tolist()
     assert bound(built, Binding("", "face", deformer="blendshape+swell"), poses).points[0].tolist() == (2 * SMILE.points).tolist()
     for name in ("", "swell", "a+b"):
-        with pytest.raises(ValueError, match="no name for a deformer"):
+        with pytest.raises(ValueError, match="cannot be the name of a deformer"):
             register(name, swell)
     with pytest.raises(KeyError, match="no deformer `melt`; there are linearskinning"):
         deformer_steps("blendshape+melt")

@@ -222,7 +222,7 @@ def changed(change: Any) -> str:
         (lambda t: t["nodes"][2].update(children=[1]), "two parents"),
         (lambda t: t["skins"][0].update(joints=[0, 7]), "names `node` 7, of which there are 3"),
         (lambda t: t["accessors"][0].update(count=10**9), "more than are read"),
-        (lambda t: t["accessors"][0].update(count=500), "too few for what is in it"),
+        (lambda t: t["accessors"][0].update(count=500), "too few for its content"),
         (lambda t: t["bufferViews"][0].update(byteLength=10**9), "has a buffer of"),
         (lambda t: t["meshes"][0]["primitives"][0]["attributes"].update(POSITION=5), "1 numbers where 3 are needed"),
         (lambda t: t["meshes"][0]["primitives"][0].update(indices=0), "3 numbers where 1 are needed"),

@@ -141,7 +141,7 @@ def explained(*words: str) -> tuple[int, str]:
         ("half_life", ("setting of a field",)),
         ("spread", ("argument of `feelers`", "argument of `avoid`")),
         ("frames", ("first and last frame",)),
-        ("amber", ("a colour of a state",)),
+        ("amber", ("a colour for states",)),
         ("steering", ("`wander`", "`seek`")),
         ("noise", ("scale: length", "noise(scale: 20 mm")),
         ("collision", ("its body begins to touch another's",)),

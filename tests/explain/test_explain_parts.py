@@ -339,7 +339,7 @@ def test_a_damaged_checkpoint_is_passed_over_and_none_is_said(copy: Cache) -> No
 def test_a_run_that_comes_out_otherwise_is_refused(copy: Cache) -> None:
     path = copy.folder / "hashes.jsonl"
     path.write_text(path.read_text().replace(copy.hashes()[30], "0" * 32))
-    assert str(refused(copy, 1, 30, "bug")).startswith("frame 30 comes out otherwise")
+    assert str(refused(copy, 1, 30, "bug")).startswith("frame 30 is computed differently")
 
 
 @pytest.mark.parametrize(

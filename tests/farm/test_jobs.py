@@ -126,7 +126,7 @@ def test_the_reference_implementation_takes_the_template(folder: Path, words: tu
     ("words", "code", "says"),
     [
         (("--to", "job.txt"), 2, "none of .yaml"),
-        (("--to", "scene.yaml"), 2, "is read here"),
+        (("--to", "scene.yaml"), 2, "is an input and would be lost"),
         (("--to", "job.yaml", "--frames", "1..5000", "--chunk", "1"), 2, "--chunk 5"),
         (("--to", "job.yaml", "--set", "walker.pace=3"), 1, "walker.pace"),
         (("--to", "job.yaml", "--render", "--widt 3"), 2, "--widt"),

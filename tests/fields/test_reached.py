@@ -5,7 +5,7 @@ from __future__ import annotations
 import meshes
 import numpy as np
 import pytest
-from meaning import WAYS
+from meaning import OPTION_SETS
 from plan_text import plan_of
 
 from antdsl.fields.cells import SurfaceCells
@@ -85,7 +85,7 @@ def test_agents_do_the_same_where_it_is_only_compared(asks: str, bounded: int) -
     crowd = CrowdData("a", 24, PlaceData(around=(0.0, 0.0, 0.0), radius=12.0))
     setting = Setting(crowds=(crowd,), surfaces={"ground": MeshData(*meshes.grid(60.0, 3))}, seed=4)
     hashes = []
-    for options in (*WAYS[::2], NATIVE) if machine.is_available() else WAYS[::2]:
+    for options in (*OPTION_SETS[::2], NATIVE) if machine.is_available() else OPTION_SETS[::2]:
         world = bind(plan, setting, options)
         hashes.append([])
         states = []

@@ -343,7 +343,7 @@ def test_the_command_writes_what_the_ending_says(
 @pytest.mark.parametrize(
     ("words", "code", "message"),
     [
-        (["odd.ant", "--out", "a.jpg"], 2, "ends in none of .svg, .png"),
+        (["odd.ant", "--out", "a.jpg"], 2, "has no known ending (.svg, .png"),
         (["odd.ant", "--only", "bag"], 2, "did you mean `bug`?"),
         (["none.ant"], 3, "none.ant"),
         (["broken.ant"], 1, "unknown-state"),

@@ -56,7 +56,7 @@ def test_more_threads_than_cores_are_not_started_and_that_is_reported(
 
 
 def test_every_command_with_threads_takes_no_more_than_there_are_cores() -> None:
-    """All go by `at_once`."""
+    """All go by `choose_threads`."""
     for path in sorted((ROOT / "antdsl" / "cli").glob("*.py")):
         if '"--threads"' in (text := path.read_text(encoding="utf-8")):
-            assert "at_once(threads" in text and "threads or cores" not in text, path.name
+            assert "choose_threads(threads" in text and "threads or cores" not in text, path.name

@@ -76,7 +76,7 @@ async def test_hover_says_which_states_stand_still(client) -> None:
     await Editor(client).open(path, text)
     for word, still in (("rest {", True), ("drift {", False), ("go {", False)):
         hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.resolve().as_uri(), place_of(text, word))))
-        assert hover is not None and ("stands still" in hover.contents.value) is still
+        assert hover is not None and ("does not move" in hover.contents.value) is still
     hover = await client.text_document_hover_async(lsp.HoverParams(**ask(path.resolve().as_uri(), place_of(text, "coast"))))
     assert hover is not None and "Go on as it goes" in hover.contents.value
 

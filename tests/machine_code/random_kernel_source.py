@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from antdsl.machine_code.kernels import (
-    BOOL, F32, F64, I16, I32, I64, U8, U64, Array1, Array2, Array3, Strided2, as_bits, as_float, called, consecutive,
-    fetch_ahead, independent, inlined, kernel, put_three, scratch, three, whole,
+    BOOL, F32, F64, I16, I32, I64, U8, U64, Array1, Array2, Array3, Strided2, as_bits, as_float, called, fetch_ahead,
+    independent, inlined, kernel, load_consecutive, nearest_integer, put_three, scratch, three,
 )
 """
 CLASSES = [f"class {name}(NamedTuple):\n    one: {a}\n    other: {b}" for name, (a, b) in RECORDS.items()]
@@ -189,7 +189,7 @@ class Source:
 
     def _i64(self, depth: int) -> str:
         options = (
-            "int({d})", "np.int64({f})", "np.int64({u})", "np.int32({i})", "np.uint32({i})", "whole({d})", "int({b})",
+            "int({d})", "np.int64({f})", "np.int64({u})", "np.int32({i})", "np.uint32({i})", "nearest_integer({d})", "int({b})",
             "({i} + {b})", "abs({i})", "(-{i})", "math.floor({d})", "as_bits(float({i}))", "np.int64({d})",
         )  # fmt: skip
         return self._integer("I64", depth) or self.filled(self.draw.choice(options), depth)
@@ -366,7 +366,7 @@ class Source:
         elif pick < 0.9:
             of, kind = self.draw.choice((("table", "F64"), ("table32", "F32")))
             names = [self.new("part") for _ in range(4)]
-            self.put(f"{', '.join(names)} = consecutive({of}, {self.small(1, 15)} * 4, 4)")
+            self.put(f"{', '.join(names)} = load_consecutive({of}, {self.small(1, 15)} * 4, 4)")
             self.scope[kind] += names
         else:
             self.put(f"fetch_ahead(in_F64, {self.of('I64', 1)})")

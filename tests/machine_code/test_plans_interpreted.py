@@ -15,7 +15,7 @@ from antdsl.machine_code.kernels import rendering
 from antdsl.machine_code.kernels.interpret import interpreted_function
 from antdsl.machine_code.kernels.ir import Function
 from antdsl.runtime import Options, bind, state_hash, step
-from antdsl.runtime.backends.native import ready
+from antdsl.runtime.backends.native import ready, stored
 from antdsl.runtime.backends.native.programs import program
 
 FRAMES = 1
@@ -44,7 +44,8 @@ def test_the_instructions_of_a_plan_mean_what_numpy_does(monkeypatch: pytest.Mon
     monkeypatch.setattr(lanes, "function_text", noted)
     target = machine.Target("x86_64-unknown-linux-gnu", "x86-64", "+avx2" if avx2 else "")
     monkeypatch.setattr(ready, "program", lambda plan, blocks, facts, _: program(plan, blocks, facts, target))
-    monkeypatch.setattr(ready, "codes", SimpleNamespace(code=lambda text: Interpreted(functions)))
+    monkeypatch.setattr(ready, "codes", SimpleNamespace(code=lambda _, write: Interpreted(functions) if write() else None))
+    monkeypatch.setattr(ready, "stored", SimpleNamespace(subject=lambda *_: None, text_key=stored.text_key))
     plan, setting = plans.rich(), plans.setting(11)
     worlds = [bind(plan, setting, Options("numpy")), bind(plan, setting, Options("native", wait_for_code=True))]
     for _ in range(FRAMES):

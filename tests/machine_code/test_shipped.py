@@ -264,7 +264,7 @@ def test_an_older_processor_loads_none(folder: Path, compiled: list[str], monkey
     compile_ = machine.object_code
     monkeypatch.setattr(machine, "object_code", lambda text, target: targets.append(target) or compile_(text, target))
     monkeypatch.setattr(machine, "host", lambda: plain)
-    assert not reload_cosines().kept()
+    assert not reload_cosines().has_code()
     rows()
     assert targets == [plain]
 

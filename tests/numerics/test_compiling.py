@@ -61,10 +61,10 @@ def test_stored_kernels_are_used_until_a_number_elsewhere_changes(folder: Path, 
     monkeypatch.setattr(machine, "object_code", lambda *text: compilations.append(text) or compile_(*text))
     for number, hit in ((1.0, False), (1.0, True), (5.0, False), (5.0, True)):
         kernel = load(folder, monkeypatch, number)
-        assert kernel.kept() == hit
+        assert kernel.has_code() == hit
         compilations.clear()
         assert kernel(2.0) == 4 + 2 * number
-        assert bool(compilations) != hit and kernel.kept()
+        assert bool(compilations) != hit and kernel.has_code()
 
 
 CHANGES: list[tuple[str, str, str, float, bool]] = [  # file, what is there, what instead; what comes out; whether of kept code
@@ -91,7 +91,7 @@ def test_a_kernel_is_known_by_the_sources_of_all_that_it_reaches(
     (folder / f"{file}.py").write_text(text.replace(before, after))
     kernel, written, write = load(folder, monkeypatch), [], Kernel.text
     monkeypatch.setattr(Kernel, "text", lambda self, *target: written.append(self) or write(self, *target))
-    assert kernel.kept() == hit and not written
+    assert kernel.has_code() == hit and not written
     assert kernel(2) == found
     assert len(written) == (not hit), "code that is kept is used without its text, other code is written"
 
@@ -99,7 +99,7 @@ def test_a_kernel_is_known_by_the_sources_of_all_that_it_reaches(
 def test_what_writes_kernels_is_part_of_what_they_are_known_by(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     load(folder, monkeypatch)(2)
     monkeypatch.setattr(sources, "_writers", lambda: "another version")
-    assert not load(folder, monkeypatch).kept()
+    assert not load(folder, monkeypatch).has_code()
 
 
 def test_a_kernel_with_a_name_of_no_known_kind_is_known_by_its_text(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,4 +107,4 @@ def test_a_kernel_with_a_name_of_no_known_kind_is_known_by_its_text(folder: Path
     (folder / "kernel_value.py").write_text(text)
     kernel = load(folder, monkeypatch)
     assert sources.key(kernel.part, []) is None
-    assert not kernel.kept() and kernel(2) == 6 and load(folder, monkeypatch).kept()
+    assert not kernel.has_code() and kernel(2) == 6 and load(folder, monkeypatch).has_code()

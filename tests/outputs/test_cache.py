@@ -493,8 +493,8 @@ def test_only_the_written_form_of_a_name_is_a_frame(unbroken: tuple[Path, dict[i
     assert shot is not None
     notes = "\n".join(begin(shot, folder, Options(), resume=True, force=False).notes)
     for name in ("frame.12.npz", "frame.00012.npz", "frames/checkpoint.0012.npz", "checkpoint.9.npz"):
-        assert f"{name}` is no " in stopped.message and f"{name}` is no " in notes
-    assert "frame 70 lies beyond frame 60, the last, and is removed" in notes and "made again" not in notes
+        assert f"{name}` is not a " in stopped.message and f"{name}` is not a " in notes
+    assert "frame 70 is beyond frame 60, the last, and is removed" in notes and "made again" not in notes
 
 
 def test_a_damaged_frame_is_reported_and_rewritten(tmp_path: Path) -> None:

@@ -76,19 +76,19 @@ def contents(folder: Path) -> dict[str, bytes]:
 @pytest.mark.parametrize(
     ("words", "flag", "why"),
     [
-        (("run", "scene.yaml", "--summary", "scene.yaml"), "--summary", "`scene.yaml` is read here"),
-        (("run", "scene.yaml", "--summary", "./folder/../ground.ply"), "--summary", "ground.ply` is read here"),
-        (("run", "scene.yaml", "--summary", "walker.ant"), "--summary", "`walker.ant` is read here"),
-        (("run", "scene.yaml", "--summary", "mine.ant"), "--summary", "`mine.ant` is read here"),
-        (("run", "scene.yaml", "--summary", "link"), "--summary", "`link` is read here"),
-        (("run", "scene.yaml", "--summary", "out/scene/hashes.jsonl"), "--summary", "has a name of what `--out` puts there"),
-        (("run", "more.yaml", "--summary", "scene.yaml"), "--summary", "`scene.yaml` is read here"),
-        (("test", ".", "--junit", "walker.ant"), "--junit", "`walker.ant` is read here"),
-        (("test", ".", "--json", "ground.ply"), "--json", "`ground.ply` is read here"),
-        (("test", ".", "--json", "scene.golden.json"), "--json", "`scene.golden.json` is read here"),
+        (("run", "scene.yaml", "--summary", "scene.yaml"), "--summary", "`scene.yaml` is an input"),
+        (("run", "scene.yaml", "--summary", "./folder/../ground.ply"), "--summary", "ground.ply` is an input"),
+        (("run", "scene.yaml", "--summary", "walker.ant"), "--summary", "`walker.ant` is an input"),
+        (("run", "scene.yaml", "--summary", "mine.ant"), "--summary", "`mine.ant` is an input"),
+        (("run", "scene.yaml", "--summary", "link"), "--summary", "`link` is an input"),
+        (("run", "scene.yaml", "--summary", "out/scene/hashes.jsonl"), "--summary", "is also a result of `--out`"),
+        (("run", "more.yaml", "--summary", "scene.yaml"), "--summary", "`scene.yaml` is an input"),
+        (("test", ".", "--junit", "walker.ant"), "--junit", "`walker.ant` is an input"),
+        (("test", ".", "--json", "ground.ply"), "--json", "`ground.ply` is an input"),
+        (("test", ".", "--json", "scene.golden.json"), "--json", "`scene.golden.json` is an input"),
         (("test", ".", "--json", "x", "--junit", "./x"), "--junit", "is named by `--json` too"),
-        (("graph", "walker.ant", "--format", "svg", "--out", "walker.ant"), "--out", "`walker.ant` is read here"),
-        (("graph", "scene.yaml", "--format", "dot", "--out", "mine.ant"), "--out", "`mine.ant` is read here"),
+        (("graph", "walker.ant", "--format", "svg", "--out", "walker.ant"), "--out", "`walker.ant` is an input"),
+        (("graph", "scene.yaml", "--format", "dot", "--out", "mine.ant"), "--out", "`mine.ant` is an input"),
     ],
 )
 def test_no_result_takes_the_place_of_what_it_is_made_from(shot: Path, words: tuple[str, ...], flag: str, why: str) -> None:
@@ -132,7 +132,7 @@ def test_a_run_does_not_write_over_the_cache_it_begins_with(shot: Path, monkeypa
     (shot / "more.yaml").write_text("antdsl: 1\nextends: scene.yaml\nfrom: {cache: first, frame: 2}\n")
     initial_contents = contents(shot)
     result = invoke("run", "more.yaml", "--frames", "1..2", "--out", "first")
-    assert isinstance(result.exception, CommandError) and "checkpoint.0002.npz` is read here" in result.exception.message
+    assert isinstance(result.exception, CommandError) and "checkpoint.0002.npz` is an input" in result.exception.message
     assert "--out" in result.exception.hint and contents(shot) == initial_contents
     assert invoke("run", "more.yaml", "--frames", "1..2", "--out", "second", "-q").exit_code == 0
 

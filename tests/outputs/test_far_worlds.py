@@ -263,7 +263,7 @@ def test_a_run_that_is_continued_has_the_same_frames(pair: Pair, tmp_path: Path)
     (place / "cache" / "manifest.json").write_text(json.dumps(manifest))
     assert open_cache(place / "cache").manifest.origin == (0, 0, 0)
     process = run("run", "scene.yaml", "--out", "cache", "--resume", "-q", cwd=place)
-    assert process.returncode == 3 and "another origin" in process.stderr and "without `--resume`" in process.stderr
+    assert process.returncode == 3 and "a different origin" in process.stderr and "without `--resume`" in process.stderr
 
 
 def test_a_run_begins_with_a_cache_of_the_same_place_alone(pair: Pair, tmp_path: Path) -> None:

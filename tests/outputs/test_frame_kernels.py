@@ -122,7 +122,7 @@ def test_what_agents_play(three: bool) -> None:
             return 300
 
     rows = np.argsort(ids)
-    population = Some(name="ant", plan=plan, now=now, ranks=lambda: ids.astype(np.int32), in_id_order=lambda: rows)
+    population = Some(name="ant", plan=plan, now=now, id_ranks=lambda: ids.astype(np.int32), in_id_order=lambda: rows)
     clip_arrays = clips_playing(population)  # type: ignore[arg-type]
     assert list(clip_arrays) == [f"clips.ant.m.{field}" for field in FIELDS if three or field not in EARLIER]
     for name, array in clip_arrays.items():
@@ -161,7 +161,7 @@ def test_cells_of_a_field(count: int) -> None:
 def test_who_wears_a_layer() -> None:
     rng = np.random.default_rng(4)
     on, ids, initial_bits = rng.random(500) < 0.3, rng.permutation(500), rng.integers(0, 2**63, 500).astype(np.uint64)
-    population, layer_bits, rows = SimpleNamespace(ranks=lambda: ids.astype(np.int32)), initial_bits.copy(), np.argsort(ids)
+    population, layer_bits, rows = SimpleNamespace(id_ranks=lambda: ids.astype(np.int32)), initial_bits.copy(), np.argsort(ids)
     for bit in (0, 5, 63):
         _set_layer_bit(population, on, None, np.uint64(1 << bit), layer_bits)  # type: ignore[arg-type]
     expected = np.where(on[rows], initial_bits | np.uint64(1 | 1 << 5 | 1 << 63), initial_bits)
@@ -175,7 +175,7 @@ def test_colours_of_states() -> None:
     states = np.random.default_rng(6).integers(0, 5, 300).astype(np.int32)
     ids = np.random.default_rng(8).permutation(300)
     plan = SimpleNamespace(machines=[SimpleNamespace(name="m")])
-    population = SimpleNamespace(plan=plan, now={"m.state": states}, ranks=lambda: ids.astype(np.int32))
+    population = SimpleNamespace(plan=plan, now={"m.state": states}, id_ranks=lambda: ids.astype(np.int32))
     colours = np.random.default_rng(7).random((5, 3)).astype(np.float32)
     result = written(lambda out: write_colours(population, colours, out), (300, 3))  # type: ignore[arg-type]
     assert np.array_equal(result[ids], colours[states])

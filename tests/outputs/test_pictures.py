@@ -253,7 +253,7 @@ def test_what_moves_is_blurred_along_its_way_and_what_stands_is_sharp():
     scene = (floor(),)
     ants = crowd([[-8.0, 0, 0], [8.0, 0, 8.0]], (0.9, 0.1, 0.1))
     then = replace(ants, position=ants.position + np.array([[6.0, 0, 0], [0, 0, 0]]))
-    still, moved = Picture(scene, (ants,), grain=4.0), Picture(scene, (replace(ants, after=then),), grain=4.0)
+    still, moved = Picture(scene, (ants,), grain=4.0), Picture(scene, (replace(ants, next_crowd=then),), grain=4.0)
     sharp, shut, open_ = (
         Renderer(W, H, blur=blur).draw(picture, ABOVE).astype(int) for blur, picture in ((0.0, still), (0.0, moved), (1.0, moved))
     )

@@ -15,7 +15,7 @@ from antdsl import whole
 
 def killed(folder: Path) -> Path:
     """A file that a process began to write before it was killed."""
-    code = "import os, sys, pathlib; from antdsl.whole import new_beside; new_beside(pathlib.Path(sys.argv[1])); os._exit(9)"
+    code = "import os, sys, pathlib; from antdsl.whole import new_sibling; new_sibling(pathlib.Path(sys.argv[1])); os._exit(9)"
     subprocess.run([sys.executable, "-c", code, str(folder / "points.csv")], env=child_environment(), check=False)
     (left,) = folder.glob(".points.csv.*.part")
     return left

@@ -461,7 +461,7 @@ def test_agents_without_a_place_are_invisible(people: Cache, tmp_path: Path) -> 
     agents = time_sample.species[0]
     is_visible = agents.is_visible.copy()
     is_visible[3] = False
-    writer.sample(replace(time_sample, species=(replace(agents, seen=is_visible),)))
+    writer.sample(replace(time_sample, species=(replace(agents, is_visible=is_visible),)))
     instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/World/walker"))
     assert list(instancer.GetInvisibleIdsAttr().Get(2)) == [agents.ids[3]]
     assert list(instancer.ComputeMaskAtTime(2)) == is_visible.tolist()

@@ -160,7 +160,7 @@ def test_mistakes_at_the_start_are_shown_and_the_ants_come_once_they_are_mended(
 
     async def test() -> None:
         async with started("scene.yaml", folder=folder) as preview, preview.connect() as page:
-            assert "has mistakes" in preview.words
+            assert "scene.yaml has errors" in preview.words
             message = await hear(page, lambda m: m["op"] == "problems")
             assert "wonder" in message["problems"][0]["message"]
             await page.send('{"op": "play"}')

@@ -31,7 +31,7 @@ def row_results() -> Any:
         ("scratch", "unfinished-line", "expected the name of a surface", "like `scratch ground(depth: 1 mm)`"),
         ("scratch ground", "unfinished-line", "line ends after `ground`", "like `scratch ground(depth: 1 mm)`"),
         ("scratc ground(depth: 1 mm)", "unknown-line", "`scratc` does not begin a line here", "did you mean `scratch`?"),
-        ("scratch ground()", "missing-argument", "`scratch` wants a depth", "write `scratch ground(depth: 1 mm)`"),
+        ("scratch ground()", "missing-argument", "`scratch` needs a depth", "write `scratch ground(depth: 1 mm)`"),
         ("scratch floor(depth: 1 mm)", "unknown-name", "no surface `floor` to scratch", "`world { surface floor }`"),
         ("scratch ground(depth: 1 s)", "wrong-unit", "`depth` of `scratch` wants a length", "write a length"),
         ("scratch ground(depht: 1 mm)", "unknown-argument", "has no argument `depht`", "did you mean `depth`?"),

@@ -95,7 +95,7 @@ def test_a_step_and_other_units_say_where_they_stand() -> None:
     _, (step,) = check_line("x += x * step * 1 /s^2")
     assert "how long a step lasts" in (step.help or "") and "`1 step`" in (step.help or "")
     _, (unit,) = check_line("x = x * mm")
-    assert "behind its number" in (unit.help or "") and "`1 mm`" in (unit.help or "") and unit.fix is None
+    assert "follows its number" in (unit.help or "") and "`1 mm`" in (unit.help or "") and unit.fix is None
 
 
 def test_no_word_of_the_language_stands_in_the_tables() -> None:

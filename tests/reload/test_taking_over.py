@@ -252,12 +252,12 @@ def test_newcomers_get_new_ids_and_who_came_last_goes(scene: Path) -> None:
     ants = larger.populations["ant"]
     assert sorted(ants.ids) == list(range(26))
     assert (ants.born[ants.ids >= 20] == world.frame).all()
-    assert migration_line(what) == "kept 20 agents · 6 more of `ant`"
+    assert migration_line(what) == "kept 20 agents · 6 `ant` added"
     for _ in range(3):
         step(larger)
     fewer, what = taken(larger, scene, scene="count: 26 => count: 9")
     assert sorted(fewer.populations["ant"].ids) == list(range(9))
-    assert migration_line(what) == "kept 9 agents · 17 of `ant` gone"
+    assert migration_line(what) == "kept 9 agents · 17 `ant` removed"
     again, _ = taken(fewer, scene, scene="count: 9 => count: 11")
     assert sorted(again.populations["ant"].ids) == [*range(9), 26, 27]
 

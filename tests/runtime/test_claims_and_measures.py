@@ -31,7 +31,7 @@ def serve(rest, item, asks):
     for k, which in enumerate(item.tolist()):
         part = asks.change[k]
         if asks.everything[k]:
-            part = float(asks.all_of(np.array([k]), rest[[which]])[0])
+            part = float(asks.all_amounts(np.array([k]), rest[[which]])[0])
         if which in closed or not part <= rest[which] or (asks.everything[k] and not part > 0):
             closed.add(which)
             continue

@@ -210,8 +210,8 @@ def shares(near, pairs, depth, light, heap_share, normal) -> dict[tuple[int, int
         p, q = near.i[n], near.j[n]
         outward = 1 + 9 * max(heap_share[p], heap_share[q])
         outer = np.clip(0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300), 1 / 64, 63 / 64)
-        one = light[p] * outer * np.sum(level(near.way[:, n], normal[:, p]) ** 2)
-        two = light[q] * (1 - outer) * np.sum(level(near.way[:, n], normal[:, q]) ** 2)
+        one = light[p] * outer * np.sum(level(near.direction[:, n], normal[:, p]) ** 2)
+        two = light[q] * (1 - outer) * np.sum(level(near.direction[:, n], normal[:, q]) ** 2)
         part = round(one / (one + two) * 2**20) / 2**20 if one + two > 0 else 0.0
         result[n, p], result[n, q] = part, 1 - part if one + two > 0 else 0.0
     return result

@@ -202,7 +202,7 @@ def test_paint_that_is_no_paint(folder: Path) -> None:
     np.savez(folder / "damp.npz", damp=np.full(POINTS, 1e300))
     assert [d.message for d in opened(folder)[1].errors] == ["`damp.npz` has a value (number 0) that is too large to keep"]
     np.savez_compressed(folder / "damp.npz", damp=np.zeros(POINTS))
-    assert "not compressed" in str(opened(folder)[1].errors[0].help)
+    assert "uncompressed" in str(opened(folder)[1].errors[0].help)
     np.savez(folder / "damp.npz", damp=np.array([{"a": 1}], dtype=object), allow_pickle=True)
     assert [d.code for d in opened(folder)[1].errors] == ["bad-paint"]
     (folder / "damp.npz").write_bytes((folder / "ground.ply").read_bytes())

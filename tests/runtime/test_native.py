@@ -21,7 +21,7 @@ from antdsl.pipeline import open_scene
 from antdsl.plan import ir
 from antdsl.runtime import FaultStop, Options, World, bind, state_hash, step
 from antdsl.runtime.backends.native import backend as native_backend
-from antdsl.runtime.backends.native import listing, ready, runner
+from antdsl.runtime.backends.native import listing, ready, runner, stored
 from antdsl.runtime.backends.native.block import FunctionWriter
 from antdsl.runtime.backends.native.layout import Layout
 
@@ -146,7 +146,9 @@ species a {
 @pytest.mark.parametrize("radius", [2.0, 0.0])
 def test_of_many_neighbours_the_nearest_count(radius: float) -> None:
     """More than the cap within the radius of each; with a radius of 0 all in one place, where ids decide."""
-    history = play(DENSE, crowd(700, radius=radius), steps=2, ways=(*OPTION_SETS[:2], replace(NATIVE, chunk=200, shuffle_rows=3)))
+    history = play(
+        DENSE, crowd(700, radius=radius), steps=2, option_sets=(*OPTION_SETS[:2], replace(NATIVE, chunk=200, shuffle_rows=3))
+    )
     counts = np.array(history["near_by"])
     assert counts.max() == limits.NEIGHBOURS and (radius == 0 or len(set(history["mood"])) > 1)
 
@@ -168,10 +170,11 @@ def test_a_crowd_in_one_sheet_that_comes_to_lie_level_is_searched_as_before() ->
 
 def test_too_many_in_a_radius_are_reported_as_by_numpy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(limits, "WITHIN_RADIUS", 300)
+    monkeypatch.setattr(stored, "subject", lambda *plan: None)  # what is stored is for the limit of the sources
     messages = []
     for options in (NUMPY, NATIVE):
         with pytest.raises(FaultStop) as stop:
-            play(DENSE, crowd(400, radius=1.0), ways=(options,))
+            play(DENSE, crowd(400, radius=1.0), option_sets=(options,))
         messages.append(str(stop.value))
     assert messages[0] == messages[1] and "300" in messages[0]
 
@@ -191,7 +194,7 @@ species a {
 def test_refused_values_are_reported_as_by_the_reference() -> None:
     fault_reports = []
     for options in (Options(backend="reference"), NUMPY, NATIVE):
-        history = play(FAULTY, crowd(12, radius=40), steps=3, ways=(replace(options, on_fault="quarantine"),))
+        history = play(FAULTY, crowd(12, radius=40), steps=3, option_sets=(replace(options, on_fault="quarantine"),))
         log = history.world.faults
         fault_reports.append((log.count, [str(fault) for fault in log.reported], history["late"], history["mood"]))
     assert fault_reports[0] == fault_reports[1] == fault_reports[2] and fault_reports[0][0] > 2
@@ -200,7 +203,7 @@ def test_refused_values_are_reported_as_by_the_reference() -> None:
 def test_who_has_given_all_has_0_whatever_the_sign_of_its_zero() -> None:
     text = "species a { load = -(id * 0)\n state only { when true -> only { give all load to nest } } }"
     option_sets = (Options(backend="reference"), NUMPY, NATIVE)
-    history = play(text, crowd(9, radius=5), steps=2, ways=option_sets, items={"nest": (item("n", 0, 0, 9),)})
+    history = play(text, crowd(9, radius=5), steps=2, option_sets=option_sets, items={"nest": (item("n", 0, 0, 9),)})
     assert np.signbit(history.at("load", 0)).all() and not np.signbit(history["load"]).any()
 
 
@@ -221,14 +224,14 @@ def test_code_that_becomes_ready_in_mid_run_changes_nothing(monkeypatch: pytest.
     class Later:
         steps = 0
 
-        def ready_code(self) -> bool:
+        def done(self) -> bool:
             self.steps += 1
             return self.steps > 4
 
         def result(self) -> Any:
             return ready_code
 
-    monkeypatch.setattr("antdsl.runtime.backends.native.backend.known", lambda plan, facts: None)
+    monkeypatch.setattr("antdsl.runtime.backends.native.backend.find_ready", lambda plan, facts: None)
     world.backend._coming = Later()  # type: ignore[attr-defined]
     frame_hashes, native = [], []
     for _ in range(8):
@@ -284,7 +287,11 @@ define void @a(ptr %p) {
 
 def reference_operations(program: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """What the reference is asked to work out while a crowd takes two steps with the same states as NumPy's."""
-    history, plain, node_names = play(program, crowd(300, radius=60), steps=2, ways=(NUMPY,)), native_backend.AgentRun.value, []
+    history, plain, node_names = (
+        play(program, crowd(300, radius=60), steps=2, option_sets=(NUMPY,)),
+        native_backend.AgentRun.value,
+        [],
+    )
 
     def value(agent: native_backend.AgentRun, node: ir.Node) -> Any:
         node_names.append(node.op)
@@ -328,7 +335,7 @@ def test_what_holds_some_agents_is_found_of_lines_sheets_and_clouds() -> None:
 def test_arrays_of_cells_that_are_no_longer_needed_are_released() -> None:
     """Radii that grow with time ask for cells of other sizes all the time."""
     text = "species a { n = 0\n reach = 5 mm\n state s { reach = reach * 1.06\n n = count(neighbours(reach)) } }"
-    history = play(text, crowd(200, radius=40), steps=60, ways=(NATIVE, NUMPY))
+    history = play(text, crowd(200, radius=40), steps=60, option_sets=(NATIVE, NUMPY))
     grids = history.world.backend._grids  # type: ignore[attr-defined]
     assert 0 < len(grids._stored) <= 1 + 16 and all(size < np.inf for _, size in grids._stored)
     assert min(each.used for each in grids._stored.values()) >= grids._step - 16
@@ -362,5 +369,5 @@ def test_another_number_needs_no_other_code() -> None:
     texts = []
     for speed in ("10", "25"):
         text = f"species a {{ max_speed {speed} mm/s\n pace = 1\n state only {{ pace = pace * 1.5 + {speed} }} }}"
-        texts.append(listing.plan_program(play(text, ways=(NATIVE,)).world.plan, machine.host()).text)
+        texts.append(listing.plan_program(play(text, option_sets=(NATIVE,)).world.plan, machine.host()).text)
     assert texts[0] == texts[1]

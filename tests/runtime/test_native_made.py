@@ -73,7 +73,7 @@ species a {{
 
 
 def edited(sign: str = "+", number: str = "1.5") -> World:
-    return play(EDITED.format(number=number, sign=sign), crowd(20, radius=50), steps=3, ways=(NATIVE,)).world
+    return play(EDITED.format(number=number, sign=sign), crowd(20, radius=50), steps=3, option_sets=(NATIVE,)).world
 
 
 def test_code_of_another_run_is_used(afresh: Callable[[], list[str]]) -> None:
@@ -93,7 +93,7 @@ def test_code_that_may_be_harmful_is_not_loaded_and_the_run_goes_on(afresh: Call
     compiled = afresh()
     world = edited()
     assert state_hash(world) == expected and len(compiled) > 1
-    assert world.backend.messages() and all("damaged, or was not written" in each for each in world.backend.told())
+    assert world.backend.messages() and all("damaged, or was not written" in each for each in world.backend.messages())
     compiled = afresh()
     assert state_hash(edited()) == expected and compiled == [], "it was replaced"
 
@@ -114,7 +114,7 @@ def test_a_stored_plan_is_run_without_its_text_and_tells_the_same_faults(
 ) -> None:
     def fault() -> str:
         with pytest.raises(FaultStop) as stop:
-            play(EDITED.format(number="1e30", sign="* 1e9 *"), crowd(20, radius=50), steps=6, ways=(NATIVE,))
+            play(EDITED.format(number="1e30", sign="* 1e9 *"), crowd(20, radius=50), steps=6, option_sets=(NATIVE,))
         return str(stop.value)
 
     afresh()
@@ -159,7 +159,8 @@ def test_of_modules_without_sources_nothing_is_stored(monkeypatch: pytest.Monkey
 def programs_saved(count: int) -> list[World]:
     """Worlds of a program that is saved again and again, each with a line that differs."""
     return [
-        play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), ways=(NUMPY,)).world for k in range(count)
+        play(EDITED.format(number=1, sign="+" + k * " pace *"), crowd(3, radius=5), option_sets=(NUMPY,)).world
+        for k in range(count)
     ]
 
 
@@ -245,8 +246,8 @@ def test_who_asks_with_other_arrays_each_time_is_answered_of_those_and_leaves_no
         values[:] = k
         population_copy.start = {"pace": values}
         population_copy.now = {"pace": np.full(len(world), k, np.float32)}
-        rooms.settle([population_copy])
-        array, _ = rooms.moved(population_copy, "pace", start=True)
-        rooms.moved(population_copy, "pace", start=False)
+        rooms.begin_step([population_copy])
+        array, _ = rooms.move_register(population_copy, "pace", start=True)
+        rooms.move_register(population_copy, "pace", start=False)
         assert population_copy.start["pace"] is array and (array == k).all()
         assert len(rooms._moved) < 80

@@ -37,7 +37,7 @@ def nearest(points: np.ndarray) -> np.ndarray:
 def test_even_is_as_far_apart_as_all_have_room_for_across_species() -> None:
     even = PlaceData(on=("ground",), spacing=np.inf)
     world = bind_crowds(even, even)
-    drawn = bind_crowds(replace(even, apart=0.0), replace(even, apart=0.0))
+    drawn = bind_crowds(replace(even, spacing=0.0), replace(even, spacing=0.0))
     both, by_chance = (np.concatenate([positions_by_id(w, "hunter"), positions_by_id(w, "prey")]) for w in (world, drawn))
     least_distance = 2 * np.sqrt(0.42 * 200.0**2 / (np.pi * 210))
     assert not world.crowded and nearest(both).min() >= least_distance

@@ -21,7 +21,7 @@ from antdsl.cli.printing.profile_table import MOST, show
 from antdsl.machine_code import machine
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.preview import Session
-from antdsl.runtime import Options, World, bind, state_hash, step, stepping
+from antdsl.runtime import Options, World, bind, phases, state_hash, step
 from antdsl.runtime.backends import metering, numpy_backend, numpy_calls
 from antdsl.runtime.backends.native import backend as native_backend
 from antdsl.runtime.backends.native import programs, ready, runner
@@ -115,7 +115,7 @@ class Clock:
 @pytest.fixture
 def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
     fake_clock = Clock()
-    for module in (metering, numpy_backend, stepping):
+    for module in (metering, numpy_backend, phases):
         monkeypatch.setattr(module, "perf_counter", fake_clock)
     return fake_clock
 
@@ -325,7 +325,7 @@ def lines_of(world: World, meter: Meter) -> dict[str, float]:
 
 @in_code
 def test_lines_of_machine_code_have_the_time_that_they_take() -> None:
-    world = play(WEIGHED, crowd(2000, radius=300), ways=(NATIVE,)).world
+    world = play(WEIGHED, crowd(2000, radius=300), option_sets=(NATIVE,)).world
     least: dict[str, float] = {}
     for _ in range(12):  # what else the machine does is not in the least of them
         meter = Meter(None)
@@ -374,7 +374,7 @@ def between(lines: list[str], mark: str, word: str) -> list[int]:
 @pytest.mark.parametrize("target", [machine.ANY, replace(machine.ANY, cpu="x86-64", features="-avx2,-fma")])
 def test_what_a_line_works_out_is_worked_out_between_its_marks(target: machine.Target) -> None:
     """Though all of it is read in another line, and LLVM would work it out there, or beside what another line works out."""
-    world = play(ROOTS, crowd(3, radius=3), ways=(NUMPY,)).world
+    world = play(ROOTS, crowd(3, radius=3), option_sets=(NUMPY,)).world
     timed_program = programs.program(world.plan, world.backend.blocks, programs.WorldFacts(False, False, True), target)  # type: ignore[union-attr]
     text = timed_program.units["a.act.0"]
     body = text[text.index("@a.act.0.inside(ptr %t, i64 %begin, i64 %end) noinline") :].splitlines()
@@ -426,7 +426,7 @@ def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_
 
 @in_code
 def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    world = play(WEIGHED, crowd(20, radius=30), ways=(NATIVE,)).world
+    world = play(WEIGHED, crowd(20, radius=30), option_sets=(NATIVE,)).world
     usual = world.backend.ready  # type: ignore[union-attr]
     world.options = Options(backend="native")
     coming: list[tuple[Future[Any], Future[Any]]] = []
@@ -452,7 +452,7 @@ def test_until_code_with_marks_has_come_numpy_is_measured(monkeypatch: pytest.Mo
 
 @in_code
 def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    world = play(WEIGHED, crowd(20, radius=30), ways=(NATIVE,)).world
+    world = play(WEIGHED, crowd(20, radius=30), option_sets=(NATIVE,)).world
     monkeypatch.setattr(machine.Target, "x86", False)
     meter = Meter(None)
     assert lines_of(world, meter)[f"many = {WEIGHTS}"] > 0 and meter.profile().by == {"NumPy": 1}

@@ -69,7 +69,7 @@ def test_a_line_that_is_shifted_is_marked_and_put_back(number: int, blanks: int,
         (GOOD.replace("fps: 24", "fps = 24"), "fps = 24", "write `fps: 24`"),
         (GOOD.replace("    count: 5", "    count 5"), "count 5", "write `count: 5`"),
         (GOOD.replace("\n  ground:", "\nground:").replace("  food:\n", "food: {}\n").replace("    apple: {at: [0, 0, 0]}\n", "")
-         .replace("    pear:\n      at: [1 cm, 0, 0]  # a comment\n      radius: 4 mm\n", ""), "ground", "2 blanks"),
+         .replace("    pear:\n      at: [1 cm, 0, 0]  # a comment\n      radius: 4 mm\n", ""), "ground", "2 spaces"),
     ],
 )  # fmt: skip
 def test_other_slips_of_lines_are_marked_and_mended(wrong: str, mark: str, help: str) -> None:

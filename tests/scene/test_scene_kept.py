@@ -61,6 +61,6 @@ def test_a_scene_with_very_many_items_keeps_no_more_than_it_may() -> None:
         return number
 
     fixed = mesh(False)
-    assert [work(fixed, more=k) for k in range(5000)] == list(range(5000))
-    assert work(fixed, more=4999) == 4999 and len(calls) == 5000
-    assert work(fixed, more=0) == 0 and len(calls) == 5001, "what was forgotten is worked out again"
+    assert [work(fixed, number=k) for k in range(5000)] == list(range(5000))
+    assert work(fixed, number=4999) == 4999 and len(calls) == 5000
+    assert work(fixed, number=0) == 0 and len(calls) == 5001, "what was forgotten is worked out again"

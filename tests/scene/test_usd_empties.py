@@ -171,7 +171,7 @@ def summarise_report(report: Report) -> list[tuple[str, str, str]]:
         ("{usd: set.usda, kind: lurs}", ALIGNERS, "", "", "no-such-prim", "lurs", "`kind: lures`"),
         ("{usd: set.usda, kind: beds}", ALIGNERS, "", "", "no-such-prim", "beds", "the kinds `lures`, `scares`"),
         (LURES, ALIGNERS, ' = "lures"', ' = ""', "no-such-prim", "", "there are the kinds"),
-        (LURES, ALIGNERS, '"7 cm"', '"7 elbows"', "bad-usd", "set.usda", "`reach` of `below` in `set.usda` says `7 elbows`"),
+        (LURES, ALIGNERS, '"7 cm"', '"7 elbows"', "bad-usd", "set.usda", "`reach` of `below` in `set.usda` has `7 elbows`"),
         (LURES, ALIGNERS, "reach = 12", "reach = inf", "bad-usd", "set.usda", "`reach` of `/root/crumb` is inf"),
         (LURES, ALIGNERS, '"7 cm"', '"7 s"', "wrong-unit", "set.usda", "`reach` is a length"),
         (

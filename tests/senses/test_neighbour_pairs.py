@@ -246,7 +246,7 @@ def test_items_are_found_the_same_in_every_way(monkeypatch: pytest.MonkeyPatch, 
         values[: many // 50] = {"x": np.nan, "y": np.inf, "z": 3e38}[axis]
         values[many // 50 : many // 20] = positions["xyz".index(axis)][0]
     positions[0][5], positions[1][6], positions[2][7] = np.nan, np.inf, -3e38
-    items = type("Held", (), {"seen": visited, "__len__": lambda self: many})()
+    items = type("Held", (), {"visible_values": visited, "__len__": lambda self: many})()
     numbers = rng.uniform(-5, 300, 1000).astype(np.float32)
     numbers[::50] = np.nan
     monkeypatch.setattr(item_pairs, "_MEASURED", 5000)

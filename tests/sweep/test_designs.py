@@ -51,9 +51,9 @@ def test_values_one_by_one_and_ranges_are_read() -> None:
         ("3mm..3mm", "no width", "one value"),
         ("3mm..9cm", "begins in `mm` and ends in `cm`", "both ends in one unit"),
         ("3mm..9", "ends in `no unit`", "both ends"),
-        ("1..2..3", "no range", "ant.smell=30mm..90mm"),
-        ("a..b", "no range", "one by one"),
-        ("1,2..3", "no range", "one by one"),
+        ("1..2..3", "is not a range", "ant.smell=30mm..90mm"),
+        ("a..b", "is not a range", "separate values"),
+        ("1,2..3", "is not a range", "separate values"),
         ("1..9e9999", "not representable", "ant.smell=30mm..90mm"),
     ],
 )

@@ -16,7 +16,7 @@ pytest.importorskip("matplotlib")
 _DRAW = """
 import json, os, sys
 from pathlib import Path
-from antdsl.sweep.figures import figure
+from antdsl.sweep.figures import open_figure
 
 opened, started = [], []
 
@@ -29,7 +29,7 @@ def note(event, arguments):
 sys.addaudithook(note)
 before = dict(os.environ), os.getcwd()
 for name in ("one.png", "two.png"):
-    with figure(2.0, 1.0, Path(sys.argv[1]) / name) as drawn:
+    with open_figure(2.0, 1.0, Path(sys.argv[1]) / name) as drawn:
         drawn.subplots(1, 1).set_title("$x$")
 assert (dict(os.environ), os.getcwd()) == before
 print(json.dumps([opened, started]))

@@ -139,7 +139,7 @@ def test_a_sweep_that_was_ended_goes_on_as_requested(sweep: Sweep, folder: Path)
         (("--resume",), 2, "say which sweep goes on"),
         (("--resume", "--out", "out", "scene.yaml"), 2, "leave out the scenes"),
         (("--resume", "--out", "out", "--vary", "a=1"), 2, "leave out `--vary`"),
-        (("--resume", "--out", "out"), 3, "has no sweep to go on with"),
+        (("--resume", "--out", "out"), 3, "has no sweep to continue"),
         (("scene.yaml", *PACE), 2, "--design latin --points 20"),
         (("scene.yaml", *PACE, "--design", "latin"), 2, "--design latin --points 20"),
         (("scene.yaml", "--vary", "walker.pace=3..2", "--design", "latin", "--points", "9"), 2, "walker.pace=2..3"),

@@ -25,7 +25,7 @@ LARGE = {
 def test_a_large_file_is_one_located_message_and_is_not_parsed(words: str) -> None:
     text = LARGE[words]
     assert len(text.encode()) <= limits.ANT_FILE_BYTES
-    with patch("antdsl.syntax.parser._Reading", side_effect=AssertionError("parsed")):
+    with patch("antdsl.syntax.parser._Parsing", side_effect=AssertionError("parsed")):
         file, report = syntax.parse(Source("large.ant", text))
     assert file.broken
     (error,) = report.errors
@@ -37,7 +37,7 @@ def test_a_large_file_is_one_located_message_and_is_not_parsed(words: str) -> No
 def test_a_file_that_is_edited_has_the_same_limits(words: str) -> None:
     parts = IncrementalParser()
     parts.parse(Source("large.ant", "ant 1\n" + SPECIES.format("a") + SPECIES.format("b")))
-    with patch("antdsl.syntax.parser._Reading.lines", autospec=True, side_effect=_Parsing.lines) as reading:
+    with patch("antdsl.syntax.parser._Parsing.lines", autospec=True, side_effect=_Parsing.lines) as reading:
         edited_result = parts.parse(Source("large.ant", LARGE[words]))
     assert reading.call_count <= limits.STATEMENTS + limits.SPECIES  # one for each part, and for each group in it
     (problem,), (expected,) = (each.errors for each in (edited_result[1], syntax.parse(Source("large.ant", LARGE[words]))[1]))

@@ -120,7 +120,7 @@ def guard_call(run: Callable[..., Any], code: Code) -> Callable[..., Any]:
     def call(*arguments: Any) -> Any:
         output = run(*arguments)
         if word.value:
-            message = code.read_text(_MESSAGES).split("\n")[word.value - 1]
+            message = code.constant_text(_MESSAGES).split("\n")[word.value - 1]
             word.value = 0
             raise KernelFault(message)
         return output

@@ -43,14 +43,8 @@ def text(_: machine.Target) -> str:
     head = object.__basicsize__
     names = (*(f"call.{name}" for name in CALLS), *OBJECTS)
     code_text = "\n".join([_TEXT, *(_reader_text(name, number) for number, name in enumerate(names)), ""])
-    values = {
-        "HEAD": head,
-        "TYPE": head - 8,
-        "TOLD": bytes_offset(),
-        "INSIDE": tuple.__basicsize__,
-        "WORDS": WORDS,
-        "DEPTH": DEPTH,
-    }
+    values = {"HEAD": head, "TYPE": head - 8, "TOLD": bytes_offset(), "INSIDE": tuple.__basicsize__}
+    values |= {"WORDS": WORDS, "DEPTH": DEPTH}
     values |= {"AXES": head + 8, "LENGTHS": head + 16, "STEPS": head + 24, "DTYPE": head + 40, "FLAGS": head + 48}
     values |= {"STEP": 8 * STEP, "FIRST": 8 * HEADER, "ARRAY": ARRAY, "TUPLE": TUPLE}
     values |= {"TYPE.FLAGS": TYPE_FLAGS, "TUPLE.FLAG": TUPLE_FLAG}

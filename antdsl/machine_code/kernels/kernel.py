@@ -113,7 +113,7 @@ class Kernel:
         return guarded_call
 
     def _description(self, code: machine.Code) -> KernelDescription:
-        return KernelDescription.read(code.read_text(_description_name(self.__name__)))
+        return KernelDescription.read(code.constant_text(_description_name(self.__name__)))
 
     def parted(self) -> Callable[..., list[Any]] | None:
         """Return the function that runs its machine code on a pool of workers, as in `calling.parallel_caller`; None where there

@@ -10,7 +10,7 @@ from antdsl import __version__
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.render import visible_diagnostics
 from antdsl.preview.session import Outcome
-from antdsl.preview.viewing.names import is_library, read_text
+from antdsl.preview.viewing.names import is_library, open_text
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Live
@@ -34,7 +34,7 @@ def texts(live: Live) -> Message:
         path = Path(os.path.realpath(each))
         if path in known_paths or path.suffix not in (".ant", ".yaml", ".yml"):
             continue
-        if (text := read_text(each, live.compiler.open_file)) is not None:
+        if (text := open_text(each, live.compiler.open_file)) is not None:
             known_paths.add(path)
             kind = "library" if is_library(path) else "ant" if path.suffix == ".ant" else "yaml"
             entries.append({"file": live.screen.names.of(path), "text": text, "kind": kind})

@@ -79,7 +79,7 @@ def utf16_length(text: str) -> int:
     return len(text) + sum(letter > "\uffff" for letter in text)
 
 
-def read_text(path: Path, opened: Callable[[Path], int]) -> str | None:
+def open_text(path: Path, opened: Callable[[Path], int]) -> str | None:
     """Return the text of a program or a scene with the same line ends as its readers use, even if it has errors; None if there is
     none. `opened` gives a handle on a regular file, or raises OSError."""
     try:

@@ -10,7 +10,7 @@ import numpy as np
 from antdsl.outputs.feelers import feelers_of
 from antdsl.preview.session import Session, silencing_settings
 from antdsl.preview.viewing.fields import full
-from antdsl.preview.viewing.names import FileNames, read_text
+from antdsl.preview.viewing.names import FileNames, open_text
 from antdsl.preview.viewing.units import base_units, colour_attributes, constant_in_base_units, unit_for
 from antdsl.program.model import ItemAttribute, Param
 from antdsl.runtime import Population
@@ -106,7 +106,7 @@ def _layers(session: Session, names: FileNames, population: Population) -> list[
         entries.append({"text": span.text, "file": names.of(span.source.path), "line": line, "on": True})
     for (species, text), path in session.disabled_layers.items():
         if species == population.name:
-            file_text = read_text(path, session.compiler.open_file) or ""
+            file_text = open_text(path, session.compiler.open_file) or ""
             own = re.search(rf"^\s*species\s+{re.escape(species)}\b", file_text, re.MULTILINE)
             line = file_text.count("\n", 0, max(file_text.find(text, own.start() if own else 0), 0)) + 1
             entries.append({"text": text, "file": names.of(path), "line": line, "on": False})

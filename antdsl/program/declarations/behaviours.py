@@ -314,12 +314,8 @@ def _is_allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
     """Return whether the call may appear here. Memory and draws are not allowed everywhere, and the expanded size is limited."""
     name, declared = info.node.name.text, scope.declared
     if info.keeps and scope.no_keep:
-        scope.report.error(
-            "keep-inside",
-            f"`{name}` remembers something, and {scope.no_keep}",
-            node.span,
-            "call it in a separate line: `steer …`, or a line of `layers`",
-        )
+        help = "call it in a separate line: `steer …`, or a line of `layers`"
+        scope.report.error("keep-inside", f"`{name}` remembers something, and {scope.no_keep}", node.span, help)
         return False
     if info.draws and scope.sets:
         scope.report.error(
@@ -349,9 +345,8 @@ def _check_call(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_no
     quiet = scope.with_changes(report=Report())
     for argument in info.node.arguments:
         if argument.name.text in argument_nodes:
-            _argument_value(
-                scope, info.node.name.text, argument, argument_nodes[argument.name.text], argument_type(quiet, argument)
-            )
+            given, type = argument_nodes[argument.name.text], argument_type(quiet, argument)
+            _argument_value(scope, info.node.name.text, argument, given, type)
     return Op(returned_type(quiet, info.node), Rate.ELEMENT if scope.sets else Rate.AGENT, node.span, "call", ())
 
 

@@ -63,7 +63,7 @@ def _degree(scope: Scope, node: nodes.Expr) -> Expr:
     if known is not None and not 0 <= known.number <= 1:
         scope.report.error(
             "out-of-range",
-            f"{quote_source(node.span)} is no share of truth",
+            f"{quote_source(node.span)} is not a degree of truth",
             node.span,
             "write a degree from 0 to 1, such as `0.5`",
         )

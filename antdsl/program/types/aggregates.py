@@ -77,12 +77,8 @@ class SpecRules:
 
     def _at_start(self, scope: Scope, expr: Expr, span: Span) -> Expr:
         if self.inside:
-            scope.report.error(
-                "set-in-set",
-                "`at_start` cannot be inside an expression that is computed for each agent",
-                span,
-                "write `at_start(total(food.load))`",
-            )
+            message = "`at_start` cannot be inside an expression that is computed for each agent"
+            scope.report.error("set-in-set", message, span, "write `at_start(total(food.load))`")
             return bad_expression(span)
         if expr.type.kind is Kind.BAD:
             return bad_expression(span)
@@ -166,12 +162,8 @@ class SpecRules:
     def _motion(self, scope: Scope, node: nodes.Member) -> Expr:
         words = MOTION.get(node.name.text)
         if words is None:
-            scope.report.error(
-                "unknown-name",
-                f"`motion` has no `{node.name.text}`",
-                node.name.span,
-                did_you_mean(node.name.text, MOTION, f"there is {list_names(MOTION)}"),
-            )
+            help = did_you_mean(node.name.text, MOTION, f"there is {list_names(MOTION)}")
+            scope.report.error("unknown-name", f"`motion` has no `{node.name.text}`", node.name.span, help)
             return bad_expression(node.span)
         return MotionMeasure(type_from_words(words) or NUMBER, Rate.STEP, node.span, node.name.text)
 
@@ -219,12 +211,8 @@ class SpecRules:
 
     def _reports_nesting(self, scope: Scope, span: Span) -> bool:
         if self.inside:
-            scope.report.error(
-                "set-in-set",
-                f"{quote_source(span)} stands inside an expression for each agent",
-                span,
-                "write one next to the other",
-            )
+            message = f"{quote_source(span)} stands inside an expression for each agent"
+            scope.report.error("set-in-set", message, span, "write one next to the other")
         return self.inside
 
     def _aggregate(self, scope: Scope, node: nodes.Call, name: str, operand: nodes.Expr) -> Expr:
@@ -285,12 +273,8 @@ class SpecRules:
     @staticmethod
     def _report_vector(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Expr:
         text = " ".join(operand.span.text.split())
-        scope.report.error(
-            "wrong-kind",
-            f"{quote_source(node.span)} would be a vector, and a spec bounds numbers",
-            operand.span,
-            f"write `length({text})`",
-        )
+        message = f"{quote_source(node.span)} would be a vector, and a spec bounds numbers"
+        scope.report.error("wrong-kind", message, operand.span, f"write `length({text})`")
         return bad_expression(node.span)
 
     def _set_aggregate(self, scope: Scope, reduction: Reduce) -> Expr:

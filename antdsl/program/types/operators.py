@@ -327,12 +327,8 @@ def _product(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
         return bad_expression(node.span)
     vectors = [e for e in (left, right) if e.type.kind is Kind.VECTOR]
     if len(vectors) == 2:
-        scope.report.error(
-            "wrong-kind",
-            f"{quote_source(node.span)} multiplies two vectors",
-            node.op_span,
-            "write `dot(a, b)` for a number or `cross(a, b)` for a vector",
-        )
+        help = "write `dot(a, b)` for a number or `cross(a, b)` for a vector"
+        scope.report.error("wrong-kind", f"{quote_source(node.span)} multiplies two vectors", node.op_span, help)
         return bad_expression(node.span)
     type = Type(Kind.VECTOR if vectors else Kind.NUMBER, combine_dimensions(left.type.dim, right.type.dim))
     return fold(scope.report, op("mul", type, node.span, left, right))

@@ -111,24 +111,16 @@ def _slide_along(
         hits = scene.cast_feelers(px, py, pz, dx, dy, dz, reach, threads=threads)
         hit_rows = np.flatnonzero(hits.hit)
         if len(hit_rows):
-            free, normal = (
-                np.clip(hits.t[hit_rows] - margin[hit_rows], _F(0), size[hit_rows]),
-                (hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows]),
-            )
+            free = np.clip(hits.t[hit_rows] - margin[hit_rows], _F(0), size[hit_rows])
+            normal = (hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows])
             _turn_aside(scene, (x, y, z), (a, b, c), above, columns[1], going[hit_rows], free, normal, threads)
     return _replace_rows(step, rows, new_steps)
 
 
 def _turn_at_hits(
-    scene: RayScene,
-    step: Vector,
-    rows: NDArray[np.int64],
-    columns: NDArray[np.float32],
-    hit_rows: NDArray[np.int64],
-    hits: NDArray[np.float32],
-    parts: list[tuple[int, int, int, int]],
-    threads: int,
-) -> Vector:
+    scene: RayScene, step: Vector, rows: NDArray[np.int64], columns: NDArray[np.float32], hit_rows: NDArray[np.int64],
+    hits: NDArray[np.float32], parts: list[tuple[int, int, int, int]], threads: int,
+) -> Vector:  # fmt: skip
     """Return the steps, with those deflected by the kernel `along` replaced. Steps that also hit a face are turned aside from
     it."""
     rows, columns = parallel.join_parts(parts, rows, columns)
@@ -153,16 +145,9 @@ def _replace_rows(step: Vector, rows: NDArray[np.int64], own: NDArray[np.float32
 
 
 def _turn_aside(
-    scene: RayScene,
-    place: Columns,
-    step: Columns,
-    up: Columns,
-    margin: NDArray[np.float32],
-    hit_rows: NDArray[np.intp],
-    free: NDArray[np.float32],
-    normal: Vector,
-    threads: int,
-) -> None:
+    scene: RayScene, place: Columns, step: Columns, up: Columns, margin: NDArray[np.float32], hit_rows: NDArray[np.intp],
+    free: NDArray[np.float32], normal: Vector, threads: int,
+) -> None:  # fmt: skip
     """Bend, in place, the steps of agents that `hit_rows` a face with this normal after `free` mm."""
     u, intended_steps = vec.take(up, hit_rows), vec.take(step, hit_rows)
     size = vec.length(intended_steps)
@@ -306,13 +291,8 @@ def bend_steps(
                     h = begin + hit
                     free = _F(normal[3]) - margin
                     free = _ZERO if free < _ZERO else size if free > size else free
-                    hit_rows[h], hits[0, h], hits[1, h], hits[2, h], hits[3, h] = (
-                        count,
-                        free,
-                        _F(normal[0]),
-                        _F(normal[1]),
-                        _F(normal[2]),
-                    )
+                    hit_rows[h], hits[0, h] = count, free
+                    hits[1, h], hits[2, h], hits[3, h] = _F(normal[0]), _F(normal[1]), _F(normal[2])
                     hit += 1
             count += 1
     return TouchCounts(begin, count, hit, left)

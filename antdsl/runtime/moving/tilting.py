@@ -69,19 +69,16 @@ def settle_bodies(world: World, population: Population, rows: NDArray[np.intp]) 
     x, y, z = np.empty((3, n), np.float32)
     fill_reach(now["size"], reach)
     *walls, _ = find_walls(world, population, (x, y, z), (rest, rest, rest), reach, state)
-    settle_rows(
-        rows, state, population.normal, (x, y, z), tuple(walls), *_pose_registers(population.start), *_pose_registers(now)
-    )
+    start = population.start
+    settle_rows(rows, state, population.normal, (x, y, z), tuple(walls), *_pose_registers(start), *_pose_registers(now))
 
 
 def lay_headings(population: Population, threads: int = 1) -> None:
     """Show programs the heading and up of the feet, along the ground, during a step. So a push ahead continues over an edge while
     the body tilts."""
     n, start, now = len(population), population.start, population.now
-    (leaning_rows,), lean = (
-        population.get_buffers("leaning", 1, (n,), np.int64),
-        population.get_buffers("laid", 3, (3, n), np.float32),
-    )
+    (leaning_rows,) = population.get_buffers("leaning", 1, (n,), np.int64)
+    lean = population.get_buffers("laid", 3, (3, n), np.float32)
     work = partial(_lay_rows, population.normal, *_pose_registers(start), *_pose_registers(now), leaning_rows, *lean)
     parts = parallel.in_parts(work, n, threads)
     population.laid = tuple(parallel.join_parts(parts, leaning_rows, *lean)) if any([count for _, count in parts]) else None
@@ -352,7 +349,7 @@ def follow_ground(
     """Turn bodies from `begin` to before `end` after their feet, from `now_up` and `now_heading`, which change. Bodies with a
     `state` that says they stand as their feet do are skipped. Feet have moved from the `previous` position to `place`. A body
     that would turn its head into a wall tilts first. `rows` is a work buffer."""
-    before_up, before_heading, previous_place = previous
+    before_up, before_heading, before = previous
     most, max_turn, dt = limits
     wall, ahead, angle, far, over = walls
     count = begin
@@ -365,11 +362,7 @@ def follow_ground(
         stands = _read_vector(before_up, i)
         look = _perpendicular(_read_vector(before_heading, i), stands)
         normal, looking = _read_vector(now_up, i), _read_vector(now_heading, i)
-        displacement = (
-            place[i, 0] - previous_place[i, 0],
-            place[i, 1] - previous_place[i, 1],
-            place[i, 2] - previous_place[i, 2],
-        )
+        displacement = (place[i, 0] - before[i, 0], place[i, 1] - before[i, 1], place[i, 2] - before[i, 2])
         target_up = normal
         if j >= 0:
             target_up = _tilt_up(normal, column64(wall, j), column64(ahead, j), angle[j], far[j], over[j], displacement)

@@ -104,20 +104,16 @@ def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
     if slip is not None:
         help, fix = f"did you mean `{slip}`?", Fix(unexpected.span, slip)
     elif _forgets_colon(unexpected):
-        help, fix = (
-            f"to name an argument, write `{unexpected.previous_text}: {unexpected.token_text}`",
-            _insert_before(unexpected, ": "),
-        )
+        fix = _insert_before(unexpected, ": ")
+        help = f"to name an argument, write `{unexpected.previous_text}: {unexpected.token_text}`"
     elif unexpected.token_kind == "word" and unexpected.next == ":" and {"RPAR", "_COMMA"} <= unexpected.expected_terminals:
         help, fix = f"write a comma before `{unexpected.token_text}:`", _insert_behind(unexpected, ",")
     elif _forgets_arrow(unexpected):
         help, fix = f"write `-> {unexpected.token_text}`", _insert_before(unexpected, "-> ")
     elif forgets_brackets(unexpected):
         help = f"write `{unexpected.previous_text}({unexpected.token_text})`"
-        fix = Fix(
-            Span(unexpected.span.source, _insert_behind(unexpected, "").span.start, unexpected.span.end),
-            f"({unexpected.token_text})",
-        )
+        place = Span(unexpected.span.source, _insert_behind(unexpected, "").span.start, unexpected.span.end)
+        fix = Fix(place, f"({unexpected.token_text})")
     return Diagnostic(
         "unexpected-text", f"{message}, expected {_describe_expected(unexpected)}", unexpected.span, help=help, fix=fix
     )
@@ -173,15 +169,9 @@ def forgets_brackets(unexpected: UnexpectedToken) -> bool:
 
 
 def _forgets_colon(unexpected: UnexpectedToken) -> bool:
-    between = (
-        {"RPAR", "_COMMA"} <= unexpected.expected_terminals and unexpected.rule != "top" and unexpected.earlier in ("(", ",")
-    )
-    return (
-        between
-        and unexpected.previous_kind == "word"
-        and unexpected.token_kind in ("number", "word")
-        and unexpected.next in (",", ")")
-    )
+    arguments = {"RPAR", "_COMMA"} <= unexpected.expected_terminals and unexpected.rule != "top"
+    between = arguments and unexpected.earlier in ("(", ",") and unexpected.next in (",", ")")
+    return between and unexpected.previous_kind == "word" and unexpected.token_kind in ("number", "word")
 
 
 def plain_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
@@ -293,18 +283,11 @@ def _explain_equals(unexpected: UnexpectedToken) -> Diagnostic | None:
         return None
     named = unexpected.previous_kind == "word" and unexpected.earlier in ("(", ",") and "RPAR" in unexpected.expected_terminals
     if named and not _ASKING.search(unexpected.span.source.text, 0, unexpected.span.start):
-        message, help = (
-            f"found `=` after the argument's name `{unexpected.previous_text}`",
-            f"write `{unexpected.previous_text}: …`",
-        )
+        name = unexpected.previous_text
+        message, help = f"found `=` after the argument's name `{name}`", f"write `{name}: …`"
         return Diagnostic("unexpected-text", message, unexpected.span, help=help, fix=Fix(unexpected.span, ":"))
-    return Diagnostic(
-        "unexpected-text",
-        "found `=` in a condition",
-        unexpected.span,
-        help="to compare, write `==`",
-        fix=Fix(unexpected.span, "=="),
-    )
+    message, fix = "found `=` in a condition", Fix(unexpected.span, "==")
+    return Diagnostic("unexpected-text", message, unexpected.span, help="to compare, write `==`", fix=fix)
 
 
 def has_doubled_sign(unexpected: UnexpectedToken) -> bool:
@@ -314,18 +297,11 @@ def has_doubled_sign(unexpected: UnexpectedToken) -> bool:
 
 
 def _explain_double_comparison(unexpected: UnexpectedToken) -> Diagnostic | None:
-    if (
-        unexpected.token_text not in _COMPARISONS
-        or "SAME" in unexpected.expected_terminals
-        or not {"AND", "OR"} & unexpected.expected_terminals
-    ):
+    expected = unexpected.expected_terminals
+    if unexpected.token_text not in _COMPARISONS or "SAME" in expected or not {"AND", "OR"} & expected:
         return None
-    return Diagnostic(
-        "unexpected-text",
-        f"found a second comparison `{unexpected.token_text}`",
-        unexpected.span,
-        help="join two comparisons with `and`",
-    )
+    message = f"found a second comparison `{unexpected.token_text}`"
+    return Diagnostic("unexpected-text", message, unexpected.span, help="join two comparisons with `and`")
 
 
 def _explain_second_line(unexpected: UnexpectedToken) -> Diagnostic | None:

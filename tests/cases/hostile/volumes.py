@@ -73,7 +73,7 @@ ROWS = [
         "bad-paint",
         "more than its own size",
     ),
-    painted("V2 a name that leaves", raw(SHAPE % "4, 3", bytes(48), "../wind.npy"), "bad-paint", "strange name"),
+    painted("V2 a name that leaves", raw(SHAPE % "4, 3", bytes(48), "../wind.npy"), "bad-paint", "invalid name"),
     painted("V2 a number that was changed", npz(wind=np.zeros((4, 3))).replace(bytes(40), bytes(39) + b"\1", 1), "bad-paint"),
     painted("V4 a picture", b"\x89PNG\r\n\x1a\n" + bytes(90), "bad-paint", "neither a .ply nor an .npz", "wind.png"),
     painted("V4 a TIFF that says 16 TB", b"II*\0" + b"\xff" * 90, "bad-paint", "neither a .ply nor an .npz", "wind.tif"),

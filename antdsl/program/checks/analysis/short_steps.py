@@ -51,9 +51,8 @@ class ShortStepValue:
 
     @property
     def depends_on_dt(self) -> bool:
-        return self.influence <= Influence.VANISHING and (
-            self.off < math.inf or self.power < 0 or self.influence is Influence.VANISHING
-        )
+        changes = self.off < math.inf or self.power < 0 or self.influence is Influence.VANISHING
+        return changes and self.influence <= Influence.VANISHING
 
 
 Below = Sequence[ShortStepValue]
@@ -70,9 +69,8 @@ def find_changers(value: Expr, own: Own, driven: bool = False) -> tuple[Expr, ..
     if short.influence is Influence.CHANGED:
         makers = short.makers
     else:
-        wrong = short.influence is Influence.VANISHING or (
-            short.influence is Influence.SAME and not _grows_with_time(short.off, value)
-        )
+        is_slow = short.influence is Influence.SAME and not _grows_with_time(short.off, value)
+        wrong = is_slow or short.influence is Influence.VANISHING
         makers = (short.by,) if wrong and short.by is not None else ()
     return tuple(each for each in makers if not _uses_step_unit(each))
 
@@ -122,12 +120,10 @@ def _analyse(value: Expr, own: Own, driven: bool) -> ShortStepValue:
         below = [known[id(each)] for each in _operands(part, own)]
         if is_own(part, own):
             short = ShortStepValue(Influence.SAME)
+        elif isinstance(part, Op) and part.name == "if":
+            short = _conditional(part, below, own, driven)
         elif isinstance(part, Op):
-            short = (
-                _conditional(part, below, own, driven)
-                if part.name == "if"
-                else _RULES.get(part.name, _unknown_operation)(part, below)
-            )
+            short = _RULES.get(part.name, _unknown_operation)(part, below)
         elif isinstance(part, Const):
             short = _constant_value(part)
         elif isinstance(part, Reduce):
@@ -209,9 +205,8 @@ def _sum(op: Op, below: Below) -> ShortStepValue:
     if own.influence is Influence.UNSURE:
         return _UNSURE
     if own.influence is Influence.CHANGED:
-        return replace(
-            own, makers=_collect_changers(below, *(() if other.vanishes or other.influence is Influence.UNSURE else (op,)))
-        )
+        extra = () if other.vanishes or other.influence is Influence.UNSURE else (op,)
+        return replace(own, makers=_collect_changers(below, *extra))
     if own.influence is Influence.SAME:
         if other.influence is Influence.SAME or not other.vanishes or (op.name == "sub" and own is b):
             return _changed_value(op, below)
@@ -249,9 +244,8 @@ def _quotient(op: Op, below: Below) -> ShortStepValue:
         return _product(op, (a, b if b.influence is Influence.UNSURE else _changed_value(op, (b,))))
     if b.power == math.inf:
         return _UNSURE
-    return _product(
-        op, (a, ShortStepValue(b.influence, -b.power, 1 / b.to if b.to else None, b.off if b.to else math.inf, by=b.by))
-    )
+    inverse = ShortStepValue(b.influence, -b.power, 1 / b.to if b.to else None, b.off if b.to else math.inf, by=b.by)
+    return _product(op, (a, inverse))
 
 
 def _negative(op: Op, below: Below) -> ShortStepValue:
@@ -329,21 +323,16 @@ def _combination(op: Expr, below: Below) -> ShortStepValue:
         return _UNSURE if influence is Influence.UNSURE else _changed_value(op, below)
     if below and all(each.vanishes for each in below):
         return _vanishing(min(each.power for each in below), influence, next((each.by for each in below if each.by), None))
-    return ShortStepValue(
-        power=min([0.0, *(each.power for each in below)]), off=min((each.off for each in below), default=math.inf)
-    )
+    off = min((each.off for each in below), default=math.inf)
+    return ShortStepValue(power=min([0.0, *(each.power for each in below)]), off=off)
 
 
 def _first_operand(op: Op, below: Below) -> ShortStepValue:
     """Analyse a length or a component of a vector: it vanishes if the vector does."""
     a = below[0]
-    return (
-        a
-        if a.influence <= Influence.VANISHING
-        else _pass_through(op, below)
-        if op.name != "length"
-        else _combination(op, below[:1])
-    )
+    if a.influence <= Influence.VANISHING:
+        return a
+    return _combination(op, below[:1]) if op.name == "length" else _pass_through(op, below)
 
 
 def _pass_through(op: Op, below: Below) -> ShortStepValue:
@@ -370,9 +359,8 @@ def _clamp(op: Op, below: Below) -> ShortStepValue:
 def _conditional(op: Op, below: Below, own: Own, driven: bool) -> ShortStepValue:
     """Analyse `if`. Changes by chance or by an event happen equally often at any rate. A value that another line drives out of
     its range is only moved back: `if turn > 1 then turn - 1 else turn`."""
-    test, *ends = op.args
+    (test, *ends), branches = op.args, below[1:]
     assert test is not None
-    branches = below[1:]
     influence = _strongest_influence(branches)
     if influence < Influence.SAME:
         return _combination(op, branches)
@@ -380,11 +368,9 @@ def _conditional(op: Op, below: Below, own: Own, driven: bool) -> ShortStepValue
     if back or any(isinstance(each, Op) and each.name in _NOW_AND_THEN for each in parts(test)):
         return ShortStepValue(Influence.SAME)
     lost = [each.by for each in branches if each.influence is Influence.VANISHING and each.by is not None]
-    return (
-        ShortStepValue(Influence.CHANGED, makers=_collect_changers(branches, *lost))
-        if lost and influence is not Influence.UNSURE
-        else _pass_through(op, branches)
-    )
+    if not lost or influence is Influence.UNSURE:
+        return _pass_through(op, branches)
+    return ShortStepValue(Influence.CHANGED, makers=_collect_changers(branches, *lost))
 
 
 def _query(op: Op, below: Below) -> ShortStepValue:
@@ -405,8 +391,7 @@ def _unknown_operation(op: Op, below: Below) -> ShortStepValue:
 _RULES: dict[str, Callable[[Op, Below], ShortStepValue]] = {
     "add": _sum, "sub": _sum, "mul": _product, "div": _quotient, "dot": _product, "cross": _product, "neg": _negative,
     "pow": _power, "sqrt": _root, "exp": _function_rule(math.exp), "log": _function_rule(math.log),
-    "sin": _function_rule(math.sin),
-    "cos": _function_rule(math.cos), "mix": _mix, "rotate": _rotation, "run": _run_value,
+    "sin": _function_rule(math.sin), "cos": _function_rule(math.cos), "mix": _mix, "rotate": _rotation, "run": _run_value,
     "min": _clamp, "max": _clamp, "clamp": _clamp,
     "abs": _first_operand, "limit": _first_operand, "project": _first_operand, "length": _first_operand,
     **dict.fromkeys(("first", "floor", "unit", "and", "or"), _pass_through),
