@@ -49,7 +49,7 @@ class Case:
 
 
 def open_shot(path: Path, agents: int | None, *, frames: int = FRAMES) -> Shot:
-    """Return a scene's shot, with its world scaled to another number of agents. Raises NoCase."""
+    """Return a scene's shot, with its world scaled to another number of agents. Raises CaseError."""
     from antdsl.bench.scaling import scale_setting
     from antdsl.pipeline import Choices, open_scene
     from antdsl.scene.values import parse_frames

@@ -148,7 +148,7 @@ class MeasuringError(Exception):
 
 
 def measure_in_process(job: Job) -> Measurement:
-    """What the process finds out. Raises Failed."""
+    """What the process finds out. Raises MeasuringError."""
     command = module_command("antdsl.bench", json.dumps(job.as_json()))
     process = subprocess.run(command, capture_output=True, text=True, env=module_environment())
     if process.returncode:

@@ -38,7 +38,7 @@ _FEWEST_FRAMES = 8  # of a run
 
 
 def measure(job: Job) -> Measurement:
-    """Do a job. Raises NoCase for a scene that cannot be opened or scaled."""
+    """Do a job. Raises CaseError for a scene that cannot be opened or scaled."""
     with _use_empty_code_folder():
         return _measure(job)
 

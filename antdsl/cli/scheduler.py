@@ -70,8 +70,8 @@ def open_cluster(
     visible_file: VisibleFile | None = None,
 ) -> Iterator[Cluster]:
     """Connect to the cluster at an address. Its workers have received the files, or see `visible_file` at its path. `workers`
-    with `threads` threads each are started if the cluster is local. Problems end the command; raises Lost where no scheduler
-    answers."""
+    with `threads` threads each are started if the cluster is local. Problems end the command; raises WorkersLost where no
+    scheduler answers."""
     folder = _certificate_folder(address, tls, no_tls)
     from importlib.util import find_spec
 

@@ -231,7 +231,8 @@ class Cluster:
             executor.shutdown(wait=False)
 
     def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
-        """Yield the parts of a file that a task wrote on a worker. Raises Lost if it is missing or ends before its size."""
+        """Yield the parts of a file that a task wrote on a worker. Raises WorkersLost if it is missing or ends before its
+        size."""
         start = 0
         while start < size:
             try:

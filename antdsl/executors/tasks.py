@@ -103,7 +103,7 @@ def run_tasks(
     task has reached, `noted` with messages about workers. `tasks` is read one at a time, whenever another one can start.
 
     Where a process is lost, the cause is unknown: all running tasks are run again, one by one. A task that breaks the executor
-    when it runs alone is given up. Raises Lost where no executor can be started again."""
+    when it runs alone is given up. Raises WorkersLost where no executor can be started again."""
     waiting, suspects = iter(tasks), deque[Task]()
     running: dict[Future[str], tuple[Task, int]] = {}
     executor, alone = executors.start(), False

@@ -108,7 +108,7 @@ class Live:
             self._thread.join()
 
     def ask(self, ask: Ask, client: Client) -> None:
-        """Queue a request to run between two steps. Raises Busy if too many wait."""
+        """Queue a request to run between two steps. Raises QueueFull if too many wait."""
         self._enqueue(ask, client)
 
     def join(self, client: Client) -> None:

@@ -63,7 +63,7 @@ def parse_number(text: str) -> float:
 
 
 def parse_quantity(text: str) -> Quantity:
-    """Return a number with its unit, `30 mm/s`. Raises BadQuantity with the reason."""
+    """Return a number with its unit, `30 mm/s`. Raises QuantityError with the reason."""
     text = text.strip()
     _refuse_comma(text)
     match = _NUMBER.match(text)

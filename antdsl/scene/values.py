@@ -174,7 +174,7 @@ _OTHER_RANGE = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3}|:|,|;|
 
 
 def parse_frames(text: str) -> FrameRange:
-    """Parse `1001..1720` or one frame. Raises BadQuantity with the reason."""
+    """Parse `1001..1720` or one frame. Raises QuantityError with the reason."""
     match = re.fullmatch(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", text.strip(), re.ASCII)
     if not match:
         other = _OTHER_RANGE.fullmatch(text.strip())

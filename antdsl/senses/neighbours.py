@@ -103,7 +103,7 @@ class CellGrid:
         Without `qx qy qz`, queries are for the grid's own agents, and no agent is its own neighbour. With them, queries are for
         those agents: `rows` selects from them, and `qid` gives their ids if they are in the grid. At most `limits.NEIGHBOURS` of
         an agent are returned, the nearest by (distance, id). `view`, one value for each query, keeps only neighbours in its field
-        of view. Raises TooManyWithin early if an agent has more than `limit` others within its radius."""
+        of view. Raises TooManyNeighbours early if an agent has more than `limit` others within its radius."""
         if qx is None or qy is None or qz is None:
             qx, qy, qz, qid = self.x, self.y, self.z, self.ids
         if rows is not None:

@@ -99,7 +99,7 @@ class SweepRequest(BaseModel):
 
 
 def read_request(folder: Path) -> SweepRequest:
-    """Return the request stored in a folder, with paths as seen from here. Raises NotAsked if there is none."""
+    """Return the request stored in a folder, with paths as seen from here. Raises NoSweep if there is none."""
     try:
         request = SweepRequest.model_validate_json(read_bounded(folder / NAME, limits.MIB))
     except OSError:

@@ -230,7 +230,7 @@ class CacheWriter:
     ) -> None:
         """Write the files that apply to the whole run. First remove frames of an earlier run and its `damaged` checkpoints.
         Frames and checkpoints up to the last line of `kept_lines` stay. `worst`: the greatest surface error of these, None if
-        unknown. Raises Locked if another run has written since those lines were read."""
+        unknown. Raises FolderLocked if another run has written since those lines were read."""
         last = max(kept_lines, default=None)
         lines = {} if last is None else read_lines(self.folder / HASHES)
         if kept_lines != {frame: line for frame, line in lines.items() if last is not None and frame <= last}:

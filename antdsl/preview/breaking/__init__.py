@@ -59,7 +59,7 @@ class Breakpoints:
         self._seen: tuple[World, int] | None = None  # the world and frame that they have seen
 
     def set(self, session: Session, asks: Sequence[Break], tried: Break | None = None) -> None:
-        """Replace all breakpoints. Raises Misfit if the additional one, `tried`, does not fit the program: then nothing
+        """Replace all breakpoints. Raises BreakpointError if the additional one, `tried`, does not fit the program: then nothing
         changes."""
         if tried is not None and tried not in asks:
             KINDS[type(tried)](session, tried, self.specs)

@@ -75,8 +75,8 @@ class ConditionWatcher:
 
 
 def condition_plan(shot: Shot, text: str) -> SpecPlan:
-    """Return what to evaluate for a condition, as if it were the only line of a spec. Raises Misfit with the error in the
-    text."""
+    """Return what to evaluate for a condition, as if it were the only line of a spec. Raises BreakpointError with the error in
+    the text."""
     from antdsl.program import check
 
     file, report = parse(Source(_NAME, _spec_text(text)))

@@ -38,13 +38,13 @@ class ListeningSockets:
 
 
 def is_loopback(host: str | None) -> bool:
-    """Return whether only this machine can reach a host. Raises CannotListen if the host is unknown."""
+    """Return whether only this machine can reach a host. Raises ListenError if the host is unknown."""
     return host is None or all(ip_address(each).is_loopback for each in _resolve_host(host))
 
 
 def listen(host: str | None = None, port: int | None = None) -> ListeningSockets:
     """Bind sockets on the loopback interface, or at `host`. Without `port`, use the first free one from 8765 on; 0 takes any.
-    Raises CannotListen if a named port is taken, or if this machine does not have the host."""
+    Raises ListenError if a named port is taken, or if this machine does not have the host."""
     addresses = _LOOPBACK if host is None else _resolve_host(host)
     for candidate in (port,) if port is not None else range(PORT, PORT + _NEXT):
         try:

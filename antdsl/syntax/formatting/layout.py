@@ -23,7 +23,7 @@ def format(source: Source) -> tuple[str | None, Report]:
     """Return the text in the standard layout, and the report of parsing.
 
     Returns None if the text has errors, because text that was not understood is not moved, or if it would exceed the limits of a
-    text. Formatting the result gives the same text again. Raises NotTheSame if the result would have another meaning."""
+    text. Formatting the result gives the same text again. Raises LayoutError if the result would have another meaning."""
     file, report = parse(source)
     if not report.ok:
         return None, report

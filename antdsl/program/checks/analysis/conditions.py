@@ -61,7 +61,7 @@ class ConditionReader:
     behind: dict[tuple[int, bool], Cases] = field(default_factory=dict)
 
     def cases(self, test: Expr | None, holds: bool = True) -> Cases:
-        """Return the cases in which a condition is true, or false if not `holds`. Raises TooMany."""
+        """Return the cases in which a condition is true, or false if not `holds`. Raises TooManyCases."""
         if test is None:
             return [Case()] if holds else []
         if isinstance(test, BindingRef) and test.binding.role in ("let", "argument") and test.binding.value is not None:

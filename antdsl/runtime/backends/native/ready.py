@@ -60,7 +60,7 @@ def find_ready(plan: ir.Plan, facts: WorldFacts) -> ReadyCode | None:
 def _build_ready(
     plan: ir.Plan, blocks: Blocks, facts: WorldFacts, known: stored.Written | None
 ) -> Generator[None, None, ReadyCode]:
-    """Compile a plan's blocks for this processor, one piece of work per step of the generator. Raises Unavailable."""
+    """Compile a plan's blocks for this processor, one piece of work per step of the generator. Raises CodeUnavailable."""
     if why := machine.unavailable():
         raise CodeUnavailable(why)
     host = machine.host()
@@ -100,9 +100,9 @@ def find(plan: ir.Plan, blocks: Blocks, facts: WorldFacts) -> stored.Written | N
 
 
 def start_building(plan: ir.Plan, blocks: Blocks, facts: WorldFacts, known: stored.Written | None = None) -> Future[ReadyCode]:
-    """A plan's blocks as machine code for this processor, made in a thread; Unavailable where it cannot be made. What was asked
-    for last is made first: it is what somebody looks at. It is made as long as whoever asked holds what this gives: of a program
-    that is saved again before its code has come, the world before is gone, and nothing more is made for it. `known`: what
+    """A plan's blocks as machine code for this processor, made in a thread; CodeUnavailable where it cannot be made. What was
+    asked for last is made first: it is what somebody looks at. It is made as long as whoever asked holds what this gives: of a
+    program that is saved again before its code has come, the world before is gone, and nothing more is made for it. `known`: what
     `find` gives."""
     coming: Future[ReadyCode] = Future()
     with _guard:
