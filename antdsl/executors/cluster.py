@@ -31,7 +31,7 @@ from antdsl.executors.cluster_worker import (
 )
 from antdsl.executors.parcel import FileBundle, VisibleFile, pack
 from antdsl.executors.tasks import LOOK, LOOPBACK, TLS_FILES, Task, TaskRefused, WorkersLost
-from antdsl.outputs.provenance import sources
+from antdsl.source_hash import sources
 
 _ROLES = ("scheduler", "worker", "nanny")
 _CONNECT = 15  # seconds to wait for a scheduler

@@ -25,7 +25,7 @@ from antdsl.bounded import open_bounded
 from antdsl.executors.parcel import FileBundle, VisibleFile, unpacked_path
 from antdsl.executors.tasks import LOOK, TaskRefused, Work, Worker, perform
 from antdsl.limits import MADE_BYTES, MIB
-from antdsl.outputs.provenance import sources
+from antdsl.source_hash import sources
 
 PART_BYTES = 8 * MIB  # of a file that is fetched, at a time
 

@@ -8,24 +8,18 @@ import platform
 import shlex
 from collections.abc import Mapping
 from functools import cache
-from hashlib import blake2b
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import numpy as np
 
-import antdsl
-from antdsl.bounded import read_bounded
 from antdsl.diagnostics.model import printable
-from antdsl.limits import MIB
 from antdsl.machine_code import machine
 from antdsl.outputs.cache.manifest import ManifestError, Provenance, read_manifest
-from antdsl.resources import behaviours_folder, grammar_folder
 from antdsl.scene.paths import GRANTED
 from antdsl.scene.values import FrameRange
+from antdsl.source_hash import sources
 
-_ENDINGS = (".py", ".ant", ".json", ".lark")  # what a result may depend on
-_SKIPPED = frozenset(["_data", "page", "web", "__pycache__"])
 _LONGEST = 2000  # characters of a command
 
 
@@ -61,21 +55,6 @@ def _command_words(scene: str, frames: FrameRange, seed: int, inputs: Mapping[st
     changes = [f"{name.removeprefix('--set ')}={text}" for name, text in inputs.items() if name.startswith("--set ")]
     sets = [word for change in changes for word in ("--set", change)]
     return ["antdsl", "run", scene, "--frames", f"{frames.first}..{frames.last}", "--seed", str(seed), *sets]
-
-
-@cache
-def sources() -> str:
-    """A hash of the package's modules, its library of behaviours and its grammar, by name: 24 hexadecimal digits."""
-    hashed = blake2b(digest_size=12)
-    for start in (Path(antdsl.__file__).parent, behaviours_folder(), grammar_folder()):
-        for folder, inner, files in os.walk(start):
-            inner[:] = sorted(name for name in inner if name not in _SKIPPED)
-            for name in sorted(name for name in files if name.endswith(_ENDINGS)):
-                path = os.path.join(folder, name)
-                for part in (Path(path).relative_to(start).as_posix().encode(), read_bounded(path, 16 * MIB)):
-                    hashed.update(len(part).to_bytes(8, "little"))
-                    hashed.update(part)
-    return hashed.hexdigest()
 
 
 @cache

@@ -13,12 +13,12 @@ from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
 from antdsl.loading import SharedParsedFiles
 from antdsl.outputs.cache.manifest import MANIFEST
-from antdsl.outputs.provenance import sources
 from antdsl.outputs.starting import StartError, source_of, start_hash
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.scene import Scene
 from antdsl.scene.paths import record_request
 from antdsl.scene.values import FrameRange
+from antdsl.source_hash import sources
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,13 @@ from typing import Any
 
 from antdsl import __version__
 from antdsl.numerics.host import processor_name
-from antdsl.outputs.provenance import sources
 from antdsl.outputs.recording import Recording
 from antdsl.outputs.starting import start_from_cache
 from antdsl.outputs.summary import summary
 from antdsl.outputs.surface_error import surface_error
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindingCache, Options, World, bind, state_hash, step
+from antdsl.source_hash import sources
 from antdsl.sweep.jobs import Job, is_match, job_key, start_hashes
 
 

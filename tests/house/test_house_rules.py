@@ -20,14 +20,16 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 # From the ground floor up: a room imports the rooms before it, and itself. Files straight in the package stand among them.
 ROOMS = (
-    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders",
+    "__init__", "source", "diagnostics", "limits", "resources", "bounded", "source_hash", "whole", "child_processes",
+    "user_folders",
     "cpu_budget", "bootstrap", "syntax", "program",
     "highlighting", "graphs", "machine_code", "numerics", "reader", "scene", "loading", "plan", "passes", "casting", "ground",
     "senses", "fields", "bodies", "runtime", "reload", "files", "pipeline", "checking", "outputs",
     "specs", "explain", "executors", "sweep", "shots", "farm", "bench", "preview", "lsp", "cli", "__main__",
 )  # fmt: skip
 # Ground floor rooms that import nothing above themselves, whatever their order here.
-GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "whole", "child_processes", "user_folders",
+GROUND = frozenset(["source", "diagnostics", "limits", "resources", "bounded", "source_hash", "whole", "child_processes",
+                    "user_folders",
                     "cpu_budget"])  # fmt: skip
 # A list of the tree's node types, one after the other, is read as one thing.
 LONG = frozenset(["syntax/nodes.py"])
@@ -124,7 +126,6 @@ OWN_FILES = {
     "diagnostics/sarif.py": "pages that come with antdsl",
     "lsp/features/tokens.py": "the grammar",
     "outputs/cache/lock.py": "its own lock, and what the system tells about a process",
-    "runtime/backends/native/stored.py": "the modules of antdsl",
     "preview/serving/pages.py": "the page that comes with antdsl",
     "numerics/host.py": "what the system tells about processors and memory",
     "cli/printing/messages.py": "the null device",

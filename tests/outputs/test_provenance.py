@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from commands import run
 
+from antdsl import source_hash
 from antdsl.outputs import provenance
 from antdsl.outputs.cache.manifest import MANIFEST, ManifestError, read_manifest
 from antdsl.scene.values import FrameRange
@@ -34,7 +35,9 @@ def test_a_manifest_says_what_made_it_and_names_no_folder(tmp_path: Path) -> Non
     creation_info = read_manifest(cache).made_with
     assert creation_info is not None
     assert (creation_info.python, creation_info.numpy) == (platform.python_version(), np.__version__)
-    assert creation_info.platform == f"{platform.system()} {platform.machine()}" and creation_info.sources == provenance.sources()
+    assert (
+        creation_info.platform == f"{platform.system()} {platform.machine()}" and creation_info.sources == source_hash.sources()
+    )
     assert creation_info.command == "antdsl run scene.yaml --frames 1..2 --seed 7"
     text = (cache / MANIFEST).read_text()
     assert "private" not in text and str(tmp_path) not in text
@@ -61,14 +64,14 @@ def test_sources_are_all_that_a_result_depends_on(tmp_path: Path, monkeypatch: p
     for name in ("package", "behaviours", "grammar"):
         (tmp_path / name).mkdir()
     (tmp_path / "package" / "__init__.py").write_text("one = 1\n")
-    monkeypatch.setattr(provenance.antdsl, "__file__", str(tmp_path / "package" / "__init__.py"))
+    monkeypatch.setattr(source_hash.antdsl, "__file__", str(tmp_path / "package" / "__init__.py"))
     for name in ("behaviours", "grammar"):
-        monkeypatch.setattr(provenance, f"{name}_folder", lambda name=name: tmp_path / name)
+        monkeypatch.setattr(source_hash, f"{name}_folder", lambda name=name: tmp_path / name)
     hashes = []
 
     def note() -> bool:
         """Whether the hash is another one than all before."""
-        hashes.append(provenance.sources.__wrapped__())
+        hashes.append(source_hash.sources.__wrapped__())
         return hashes[-1] not in hashes[:-1]
 
     assert note()

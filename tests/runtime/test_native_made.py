@@ -142,7 +142,7 @@ def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pyt
     ]
     keys.append(key(facts=ready.WorldFacts(False, False, timed=True)))
     assert key() == key(edited())
-    monkeypatch.setattr(stored, "_sources", lambda: "other modules")
+    monkeypatch.setattr(stored, "sources", lambda: "other modules")
     keys.append(key())
     monkeypatch.setattr(object_cache, "versions", lambda: ("another LLVM",))
     keys.append(key())
@@ -151,7 +151,6 @@ def test_whatever_a_text_depends_on_changes_the_key_of_its_plan(monkeypatch: pyt
 
 def test_of_modules_without_sources_nothing_is_stored(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(antdsl, "__file__", str(tmp_path / "__init__.pyc"))
-    monkeypatch.setattr(stored, "_sources", stored._sources.__wrapped__)
     world = edited()
     assert stored.subject(world.plan, world.backend.blocks, ready.WorldFacts(False, False), machine.host()) is None  # type: ignore[attr-defined]
 

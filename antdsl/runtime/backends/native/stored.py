@@ -7,17 +7,13 @@ which address the code reads from which place."""
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from functools import cache
 from hashlib import blake2b
-from pathlib import Path
 from typing import Any
 
-import antdsl
 from antdsl.machine_code import codes, object_cache
 from antdsl.machine_code.machine import Target
 from antdsl.plan import ir
@@ -26,6 +22,7 @@ from antdsl.runtime.backends.metering import instructions_of
 from antdsl.runtime.backends.native.block import BlockCode, NeighbourSearch
 from antdsl.runtime.backends.native.programs import Blocks, Program, WorldFacts, begin_blocks
 from antdsl.source import Span
+from antdsl.source_hash import has_modules, sources
 
 _Place = tuple[str, str]
 Written = tuple[Mapping[str, str], Mapping[_Place, BlockCode]]  # keys of texts by the names of functions, and the blocks
@@ -51,8 +48,10 @@ def subject(plan: ir.Plan, blocks: Blocks, facts: WorldFacts, target: Target) ->
     """What finds and reads a file about a plan; None where nothing can be stored of it."""
     written = _Written()
     instructions = {place: instructions_of(compiler.root) for place, compiler in blocks.items()}
+    if not has_modules():
+        return None
     try:
-        written.add((_sources(), facts.moving, facts.detail, facts.timed, plan))
+        written.add((sources(), facts.moving, facts.detail, facts.timed, plan))
         if facts.timed:
             written.add([_line(each) for place in instructions.values() for each in place])
     except (_Unknown, OSError):
@@ -196,21 +195,3 @@ def _line(each: Instruction) -> tuple[str, int, int]:
     """The line and the layer that an instruction is timed for."""
     span = each.span
     return ("", 0, each.layer) if span is None else (span.source.path, span.source.line_column(span.start)[0], each.layer)
-
-
-@cache
-def _sources() -> str:
-    """A hash of all modules of antdsl. Raises _Unknown where they were installed without their sources."""
-    hashed, package = blake2b(digest_size=32), Path(antdsl.__file__).parent
-    count = 0
-    for folder, inner, names in os.walk(package):
-        inner[:] = sorted(name for name in inner if name not in ("__pycache__", "web", "page", "objects"))
-        for name in sorted(names):
-            if name.endswith(".py"):
-                with open(os.path.join(folder, name), "rb") as file:
-                    data = file.read()
-                hashed.update(f"{folder[len(str(package)) :]}/{name} {len(data)};".encode() + data)
-                count += 1
-    if not count:
-        raise _Unknown
-    return hashed.hexdigest()

@@ -1,0 +1,36 @@
+"""A hash of antdsl's own files: it identifies the code that results and stored files depend on."""
+
+from __future__ import annotations
+
+import os
+from functools import cache
+from hashlib import blake2b
+from pathlib import Path
+
+import antdsl
+from antdsl.bounded import read_bounded
+from antdsl.limits import MIB
+from antdsl.resources import behaviours_folder, grammar_folder
+
+_ENDINGS = (".py", ".ant", ".json", ".lark")  # what a result may depend on
+_SKIPPED = frozenset(["_data", "page", "web", "__pycache__"])
+
+
+def has_modules() -> bool:
+    """Return whether the installation has the sources of its modules; without them, `sources` does not depend on the code."""
+    return antdsl.__file__.endswith(".py")
+
+
+@cache
+def sources() -> str:
+    """A hash of the package's modules, its library of behaviours and its grammar, by name: 24 hexadecimal digits."""
+    hashed = blake2b(digest_size=12)
+    for start in (Path(antdsl.__file__).parent, behaviours_folder(), grammar_folder()):
+        for folder, inner, files in os.walk(start):
+            inner[:] = sorted(name for name in inner if name not in _SKIPPED)
+            for name in sorted(name for name in files if name.endswith(_ENDINGS)):
+                path = os.path.join(folder, name)
+                for part in (Path(path).relative_to(start).as_posix().encode(), read_bounded(path, 16 * MIB)):
+                    hashed.update(len(part).to_bytes(8, "little"))
+                    hashed.update(part)
+    return hashed.hexdigest()
