@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import F32, I64, Array1, kernel
+from antdsl.machine_code.kernels import BOOL, F32, I32, I64, Array1, kernel, load_consecutive
 from antdsl.numerics.parallel import contiguous
-from antdsl.senses.touching import find_all_touching
+from antdsl.senses.cell_order import Columns
+from antdsl.senses.touching import Agents, neighbour_searches, span_end, span_start
 
 Floats = NDArray[np.float32]
 
 _WIDER, _LEAST = 1 + 1e-6, 1e-9  # than bodies reach, for distances are rounded; mm, of bodies without a radius
+_MEASURED = 640  # pairs per agent, on average, from which a tree of the nearest neighbours is faster
 _NEAREST = 8  # neighbours of the first query; each further query doubles the number until the result is certain
 
 
@@ -23,9 +25,12 @@ def worst_overlaps(x: Floats, y: Floats, z: Floats, radius: Floats) -> Floats:
     worse."""
     x, y, z, radius = contiguous(x, y, z, radius)
     overlap, wide = np.zeros(len(x), np.float32), [each.astype(np.float64) for each in (x, y, z, radius)]
-    pairs = find_all_touching((wide[0], wide[1], wide[2]), np.maximum(wide[3], 0) * _WIDER + _LEAST)
-    if pairs is not None:
-        fill_worst_overlaps(x, y, z, radius, pairs.i, pairs.j, overlap)
+    budget = _MEASURED * len(x)
+    for search in neighbour_searches((wide[0], wide[1], wide[2]), np.maximum(wide[3], 0) * _WIDER + _LEAST):
+        budget = fill_worst_overlaps(*search, (x, y, z), radius, budget, overlap)
+        if budget < 0:
+            break
+    else:
         return overlap
     rows = np.flatnonzero(np.isfinite(x) & np.isfinite(y) & np.isfinite(z) & np.isfinite(radius))
     place = np.stack([x[rows], y[rows], z[rows]], axis=1)
@@ -75,14 +80,33 @@ def _overlaps_by_nearest(place: Floats, radius: Floats) -> Floats:
 
 @kernel
 def fill_worst_overlaps(
-    x: Array1[F32], y: Array1[F32], z: Array1[F32], radius: Array1[F32], i: Array1[I64], j: Array1[I64], overlap: Array1[F32]
-) -> None:
-    """Write the worst overlap of each agent, from pairs of agents, to `overlap`, which is zero before."""
-    for k in range(i.size):
-        a, b = i[k], j[k]
-        one, two, three = x[b] - x[a], y[b] - y[a], z[b] - z[a]
-        distance = np.sqrt((one * one + two * two) + three * three)
-        radius_sum = max(radius[a] + radius[b], np.float32(1e-9))
-        if distance < radius_sum:
-            part = np.float32(1.0) - distance / radius_sum
-            overlap[a], overlap[b] = max(overlap[a], part), max(overlap[b], part)
+    asking: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], own: BOOL, position: Columns,
+    radius: Array1[F32], budget: I64, overlap: Array1[F32],
+) -> I64:  # fmt: skip
+    """Raise the worst overlap of each agent to that of the pairs of a search. Returns how many pairs of the budget are left; if
+    negative, only a part of the pairs was measured."""
+    (asks, asking_rows, asking_keys), (ordered, rows, _) = asking, agents
+    for at in range(asking_rows.size):
+        (x, y, z, wide), a = load_consecutive(asks, 4 * at, 4), asking_rows[at]
+        for span in range(shifts.size):
+            key = asking_keys[at] + shifts[span]
+            first, last = span_start(agents, starts, cells, own, at, span, key), span_end(agents, starts, cells, key)
+            budget -= max(last - first, 0)
+            if budget < 0:
+                return budget
+            for n in range(first, last):
+                (u, v, w, far) = load_consecutive(ordered, 4 * n, 4)
+                u, v, w, reach = u - x, v - y, w - z, wide + far
+                if (u * u + v * v) + w * w <= reach * reach:
+                    b = rows[n]
+                    one, two, three = (
+                        position[0][b] - position[0][a],
+                        position[1][b] - position[1][a],
+                        position[2][b] - position[2][a],
+                    )
+                    distance = np.sqrt((one * one + two * two) + three * three)
+                    radius_sum = max(radius[a] + radius[b], np.float32(1e-9))
+                    if distance < radius_sum:
+                        part = np.float32(1.0) - distance / radius_sum
+                        overlap[a], overlap[b] = max(overlap[a], part), max(overlap[b], part)
+    return budget

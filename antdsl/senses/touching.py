@@ -6,7 +6,7 @@ number of those in reach. Thus many agents at one position cost no more than as 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from typing import Any, NamedTuple
@@ -23,6 +23,7 @@ from antdsl.machine_code.kernels import (
     Array2,
     fetch_ahead,
     independent,
+    inlined,
     kernel,
     load_consecutive,
     nearest_integer,
@@ -84,35 +85,36 @@ def find_touching(place: Three, reach: Floats, order: NDArray[np.int64], bounds:
     float64[n], mm. `order` int64[n], all different: which agents count first in a dense cluster, whatever the rows. Agents
     without a finite position and reach are in no pair. `bounds`: the least and the greatest x, y, z and reach, if known; not
     finite if any of them is not."""
-    pairs = find_all_touching(place, reach, bounds)
-    if pairs is None:
-        pairs = _pairs_within_reach(place, reach, order, bounds, True)
-    assert pairs is not None
-    return pairs
+    x, y, z, reach = contiguous(*place, reach)
+    rows, bounds = _usable_rows((x, y, z), reach, bounds)
+    if bounds is None:
+        return Pairs(rows, rows, True)
+    rows = rows[stable_order(order[rows])] if rows.size else stable_order(order)  # agents are left out by the order, not by rows
+    pair_lists = [_find_pairs(search) for search in _searches((x, y, z), reach, rows, bounds, False)]
+    if len(pair_lists) == 1:
+        return pair_lists[0]
+    i, j = (np.concatenate([getattr(each, name) for each in pair_lists]) for name in ("i", "j"))
+    return Pairs(i, j, all(each.all_of_them for each in pair_lists))
 
 
-def find_all_touching(place: Three, reach: Floats, bounds: Bounds | None = None) -> Pairs | None:
-    """As `find_touching`, but return None unless all pairs are listed."""
-    return _pairs_within_reach(place, reach, NO_ORDER, bounds, False)
+def neighbour_searches(place: Three, reach: Floats) -> Iterator[Search]:
+    """Yield searches that together meet each pair of agents no farther apart than the sum of their reaches once. Arguments as for
+    `find_touching`. Sparse crowds get wider cells, so that a table of all cells stays small."""
+    x, y, z, reach = contiguous(*place, reach)
+    rows, bounds = _usable_rows((x, y, z), reach, None)
+    if bounds is not None:
+        yield from _searches((x, y, z), reach, rows, bounds, True)
 
 
-def _pairs_within_reach(
-    place: Three, reach: Floats, order: NDArray[np.int64], bounds: Bounds | None, heaps: bool
-) -> Pairs | None:
-    """Return pairs of all agents; None if there are dense clusters and `heaps` does not allow to leave out pairs."""
-    rows, (x, y, z, reach) = NO_ORDER, contiguous(*place, reach)
-    place = x, y, z
+def _usable_rows(place: Three, reach: Floats, bounds: Bounds | None) -> tuple[Rows, Bounds | None]:
+    """Return the rows with a finite position and reach (none: all rows), and their bounds; no bounds if there is no such row."""
     if bounds is None and len(reach):
         bounds = _find_bounds((*place, reach))
-    if bounds is None or not (all(isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0):
-        fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
-        rows = np.flatnonzero(fit)
-        if not len(rows):
-            return Pairs(rows, rows, True)
-        bounds = _find_bounds((*place, reach), rows)
-    if heaps:  # who is left out goes by the order, not by rows
-        rows = rows[stable_order(order[rows])] if rows.size else stable_order(order)
-    return _pairs_among(place, reach, rows, bounds, heaps)
+    if bounds is not None and all(isfinite(low + high) for low, high in bounds) and bounds[3][0] > 0:
+        return NO_ORDER, bounds
+    fit = np.isfinite(place[0]) & np.isfinite(place[1]) & np.isfinite(place[2]) & np.isfinite(reach) & (reach > 0)
+    rows = np.flatnonzero(fit)
+    return rows, _find_bounds((*place, reach), rows) if len(rows) else None
 
 
 def _find_bounds(numbers: Sequence[Floats], rows: Rows = NO_ORDER) -> Bounds:
@@ -120,29 +122,45 @@ def _find_bounds(numbers: Sequence[Floats], rows: Rows = NO_ORDER) -> Bounds:
     return [(float(each.min()), float(each.max())) for each in (n[rows] if rows.size else n for n in numbers)]
 
 
-def _pairs_among(place: Three, reach: Floats, rows: Rows, bounds: Bounds, heaps: bool) -> Pairs | None:
-    """Return pairs among rows (none: all) within bounds. Returns None if there are dense clusters and `heaps` is False. In a
-    dense cluster the first rows count first."""
+def _searches(place: Three, reach: Floats, rows: Rows, bounds: Bounds, widens: bool) -> Iterator[Search]:
+    """Yield the searches for pairs among rows (none: all) within bounds. `widens`: whether sparse grids get wider cells."""
     low, high = bounds[3]
     if 2 * low >= high:
-        return _join_pairs([_Grid.of(place, reach, rows, bounds).own_pairs(heaps)])
+        yield _Grid.of(place, reach, rows, bounds, widens).own_search()
+        return
     rows = rows if rows.size else np.arange(len(reach))
-    sizes, pair_lists = np.frexp(reach[rows])[1], []
+    sizes = np.frexp(reach[rows])[1]
     for size in np.unique(sizes):
         members, smaller = rows[sizes == size], rows[sizes < size]
-        grid = _Grid.of(place, reach, members, _find_bounds((*place, reach), members))
-        pair_lists += [grid.own_pairs(heaps)] + ([grid.pairs_with(place, reach, smaller, heaps)] if smaller.size else [])
-        if None in pair_lists:
-            return None
-    return _join_pairs(pair_lists)
+        grid = _Grid.of(place, reach, members, _find_bounds((*place, reach), members), widens)
+        yield grid.own_search()
+        if smaller.size:
+            yield grid.search_for(place, reach, smaller)
 
 
-def _join_pairs(pair_lists: Sequence[Pairs | None]) -> Pairs | None:
-    parts = [each for each in pair_lists if each is not None]
-    if len(parts) < len(pair_lists) or len(parts) == 1:
-        return pair_lists[0] if len(parts) == 1 else None
-    i, j = (np.concatenate([getattr(each, name) for each in parts]) for name in ("i", "j"))
-    return Pairs(i, j, all(each.all_of_them for each in parts))
+def _find_pairs(search: Search) -> Pairs:
+    """Return the pairs that a search meets within their reaches."""
+    count = search.asking[1].size
+    buffers = tuple(np.empty((3, _TOGETHER * search.shifts.size * _MOST + _WRITTEN), np.int32))
+    used, most_pairs, left_out = -1, 4 * count + 256, 0
+    while used < 0:
+        i, j = np.empty((2, most_pairs), np.int64)
+        used, left_out = _fill_pairs(*search, _MOST, buffers, i, j)
+        most_pairs *= 4
+    return Pairs(i[:used], j[:used], not left_out)
+
+
+class Search(NamedTuple):
+    """What a kernel needs to meet pairs of neighbours: agents that search and agents that are found (position and reach in groups
+    of four, row, cell), the first found agent of each cell, the number of cells, and the offsets of spans of three cells from an
+    agent's own cell. `own`: both are the same agents, and each pair is met once."""
+
+    asking: Agents
+    agents: Agents
+    starts: Array1[I32]
+    cells: I64
+    shifts: Array1[I64]
+    own: BOOL
 
 
 class _Grid(NamedTuple):
@@ -158,13 +176,15 @@ class _Grid(NamedTuple):
     starts: NDArray[np.int32]
 
     @staticmethod
-    def of(place: Three, reach: Floats, rows: Rows, bounds: Bounds) -> _Grid:
-        """That of rows (none: all) within bounds."""
+    def of(place: Three, reach: Floats, rows: Rows, bounds: Bounds, widens: bool) -> _Grid:
+        """Return the grid of rows (none: all) within bounds. `widens`: whether cells become wider until a table holds them."""
         low, extent = [low for low, _ in bounds[:3]], [high - low for low, high in bounds[:3]]
         axes = tuple(sorted(range(3), key=lambda axis: -extent[axis]))
         cell = max(2 * bounds[3][1], extent[axes[0]] / _ALONG, 1e-9)
-        across, broad, depth = (int(extent[axis] / cell) + 3 for axis in axes)
         count = rows.size or reach.size
+        if widens:
+            cell = max(cell, (extent[axes[0]] * extent[axes[1]] / max(1 << 14, 8 * count)) ** 0.5)
+        across, broad, depth = (int(extent[axis] / cell) + 3 for axis in axes)
         agents = np.empty(4 * count), np.empty(count, np.int32), np.empty(count, np.int64)
         start = tuple(low[axis] for axis in axes)
         grid = _Grid(axes, start, 1 / cell, (across, broad, 1), agents, np.empty(0, np.int32))
@@ -198,37 +218,20 @@ class _Grid(NamedTuple):
         counts = np.empty((1, self.cell_count + SPARE if self.cell_count <= most else 0), np.int32)
         return counts, _count_cells(reorder_axes(self.axes, place), *self._cell_numbering(), rows, keys, counts, 0, SHARES)
 
-    def own_pairs(self, heaps: bool) -> Pairs | None:
-        """Return the pairs among the grid's agents: each agent with later ones in its cell, and with those in the later half of
-        its neighbour cells."""
+    def own_search(self) -> Search:
+        """Return the search for pairs among the grid's agents: each agent with later ones in its cell, and with all in the later
+        half of its neighbour cells."""
         across, layer = self.size[0], self.size[0] * self.size[1]
-        return self._find_pairs(self.agents, [0, across, layer - across, layer, layer + across], True, heaps)
+        shifts = [0, across, layer - across, layer, layer + across][: 2 if self.size[2] == 1 else 5]
+        return Search(self.agents, self.agents, self.starts, self.cell_count, np.array(shifts), True)
 
-    def pairs_with(self, place: Three, reach: Floats, rows: Rows, heaps: bool) -> Pairs | None:
-        """Return the pairs of other rows with the grid's agents: each row with all agents in its cell and the neighbour cells."""
+    def search_for(self, place: Three, reach: Floats, rows: Rows) -> Search:
+        """Return the search for pairs of other rows with the grid's agents: each row with all agents in and around its cell."""
         across, layer = self.size[0], self.size[0] * self.size[1]
-        around = [depth * layer + aside * across for depth in (0, -1, 1) for aside in (-1, 0, 1)]
+        shifts = [depth * layer + aside * across for depth in (0, -1, 1) for aside in (-1, 0, 1)][: 3 if self.size[2] == 1 else 9]
         positions, own, keys = np.empty(4 * rows.size), np.empty(rows.size, np.int32), np.empty(rows.size, np.int64)
         used = _store_queries(place, reorder_axes(self.axes, place), reach, *self._cell_numbering(), rows, positions, own, keys)
-        return self._find_pairs((positions, own[:used], keys), around, False, heaps)
-
-    def _find_pairs(
-        self, asking: tuple[Floats, NDArray[np.int32], NDArray[np.int64]], around: list[int], own: bool, heaps: bool
-    ) -> Pairs | None:
-        """Return the pairs of requesting agents with others in rows of three cells, at the offsets `around` from their own
-        cell."""
-        if self.size[2] == 1:
-            around = around[: 2 if own else 3]
-        count, shifts = asking[1].size, np.array(around, np.int64)
-        buffers = tuple(np.empty((3, _TOGETHER * len(around) * _MOST + _WRITTEN), np.int32))
-        used, most_pairs, left_out = -3, 4 * count + 256, 0
-        while used == -3:
-            i, j = np.empty((2, most_pairs), np.int64)
-            used, left_out = _fill_pairs(
-                asking, self.agents, self.starts, self.cell_count, shifts, own, _MOST, heaps, buffers, i, j
-            )
-            most_pairs *= 4
-        return None if used < 0 else Pairs(i[:used], j[:used], not left_out)
+        return Search((positions, own[:used], keys), self.agents, self.starts, self.cell_count, np.array(shifts), False)
 
 
 @kernel
@@ -278,33 +281,37 @@ def _store_queries(
     return used
 
 
+@inlined
+def span_start(agents: Agents, starts: Array1[I32], cells: I64, own: BOOL, at: I64, span: I64, key: I64) -> I64:
+    """Return the position of the first agent in the three cells around cell `key`, for the agent at position `at`."""
+    return at + 1 if own and span == 0 else agents_before(starts, agents[2], min(max(key - 1, 0), cells))
+
+
+@inlined
+def span_end(agents: Agents, starts: Array1[I32], cells: I64, key: I64) -> I64:
+    """Return the position after the last agent in the three cells around cell `key`."""
+    return agents_before(starts, agents[2], min(max(key + 2, 0), cells))
+
+
 @kernel
 def _fill_pairs(
-    asking: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], own: BOOL, most: I64, heaps: BOOL,
+    asking: Agents, agents: Agents, starts: Array1[I32], cells: I64, shifts: Array1[I64], own: BOOL, most: I64,
     buffers: CandidateBuffers, i: Array1[I64], j: Array1[I64],
 ) -> tuple[I64, I64]:  # fmt: skip
-    """Fill `i` and `j` with pairs. Returns their number, and in how many spans some are left out.
+    """Fill `i` and `j` with pairs. Returns their number (-1 if `i` and `j` are too short), and how many spans miss some.
 
-    Instead of the number: -3 if `i` and `j` are too short; -2 if three cells in a row have more than `most` agents, and `heaps`
-    does not allow to leave out pairs. `shifts`: offsets of the middle of three cells from the agent's own cell. `own`: pairs only
-    with later agents, first in the agent's own cell. `buffers`: buffers for candidates, listed without an unpredictable branch,
-    and for those that are near."""
-    (asks, asking_rows, asking_keys), (ordered, rows, keys), (one, other, near) = asking, agents, buffers
+    An agent is paired with at most `most` agents of a span. `buffers`: buffers for candidates, listed without an unpredictable
+    branch, and for those that are near."""
+    (asks, asking_rows, asking_keys), (ordered, rows, _), (one, other, near) = asking, agents, buffers
     used, count, left_out = 0, asking_rows.size, 0
     for begin in range(0, count, _TOGETHER):
         candidates = 0
         for at in range(begin, min(begin + _TOGETHER, count)):
-            middle = asking_keys[at]
             for span in range(shifts.size):
-                key = middle + shifts[span]
-                last = agents_before(starts, keys, min(max(key + 2, 0), cells))
-                if own and span == 0:
-                    first = at + 1
-                else:
-                    first = agents_before(starts, keys, min(max(key - 1, 0), cells))
+                key = asking_keys[at] + shifts[span]
+                last = span_end(agents, starts, cells, key)
+                first = span_start(agents, starts, cells, own, at, span, key)
                 if last - first > most:
-                    if not heaps:
-                        return -2, 0
                     left_out += 1
                     turned = (at * most) % (last - first)
                     for k in range(most):
@@ -323,7 +330,7 @@ def _fill_pairs(
             near[n] = 1 if (x * x + y * y) + z * z <= reach * reach else 0
         near_count = compact_indices(near, candidates)
         if used + near_count > i.size:
-            return -3, 0
+            return -1, 0
         for n in range(near_count):
             i[used + n], j[used + n] = asking_rows[one[near[n]]], rows[other[near[n]]]
         used += near_count
