@@ -13,7 +13,7 @@ import pytest
 from antdsl import limits
 from antdsl.bodies.agents.definition import Blend, Definition, InBetweens
 from antdsl.bodies.files.clip_document import write_clip
-from antdsl.bodies.files.definition_parts import TypedValue
+from antdsl.bodies.files.documents import TypedValue
 from antdsl.bodies.files.named_files import BodyFiles
 from antdsl.bodies.files.reading import read_definition
 from antdsl.diagnostics import Diagnostic

@@ -4,7 +4,7 @@ beside it; one glTF file has the geometry of all shapes."""
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -14,7 +14,7 @@ from antdsl.bodies.agents.definition import Clip, Definition, Shape
 from antdsl.bodies.agents.other_axes import convert_axes
 from antdsl.bodies.agents.transforms import parts_of
 from antdsl.bodies.files.clip_document import write_clip
-from antdsl.bodies.files.definition_document import unit_mm
+from antdsl.bodies.files.document_model import unit_mm
 from antdsl.bodies.files.documents import json_text, write_group, write_layer, write_metadata, write_rig
 from antdsl.bodies.files.gltf_writer import GltfWriter, ShapeParts
 from antdsl.scene.model import UNIT_MM
@@ -54,10 +54,9 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
         if texts:
             document[key] = [part(f"{key}/{_file_name(each)}", text) for each, text in texts]
     if body.legs:
-        document["legs"] = [{"name": e.name, "upper": e.upper, "lower": e.lower, "foot": e.foot} for e in body.legs]
+        document["legs"] = [asdict(leg) for leg in body.legs]
     if body.gaits:
-        keys = ("name", "speed", "stride", "duty", "lift", "phases")
-        document["gaits"] = [{key: getattr(gait, key) for key in keys} for gait in body.gaits]
+        document["gaits"] = [asdict(gait) for gait in body.gaits]
     if body.idle:
         document["idle"] = body.idle
     if body.metadata:

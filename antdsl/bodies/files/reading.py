@@ -10,10 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from antdsl.bodies.agents.definition import Definition, with_language_names
-from antdsl.bodies.files.checked_values import Values
-from antdsl.bodies.files.definition_checks import check_definition
-from antdsl.bodies.files.definition_document import Parts, read_document
-from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.definition_checks import Parts, check_definition
 from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, file_ending
 from antdsl.diagnostics import Report
 from antdsl.scene.paths import Roots, Sought, record_request, record_sought, reopen
@@ -53,12 +50,10 @@ def read_definition(
         kinds = ", ".join(f".{each}" for each in ("json", *GLTF, *USD))
         report.error("wrong-kind", f"`{display_path[-80:]}` is no file of a body", place, f"one of {kinds} is read")
         return None, report
+    from antdsl.bodies.files.definition_document import read_document  # late: most commands read no definition file
 
-    def document(values: Values, node: Node) -> Parts | None:
-        values.report = report
-        return read_document(values, node, files, name)
-
-    parts, _ = files.read_part_file(text, "a definition", document, place)
+    root = files.read_part(text, "a definition", place)
+    parts = None if root is None else read_document(root, files, name)
     return (None if parts is None else check_definition(parts, report)), report
 
 

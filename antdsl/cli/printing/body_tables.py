@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape, language_names
-from antdsl.bodies.files.definition_parts import plain_metadata
+from antdsl.bodies.files.documents import plain_metadata
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.places import escape_line
 from antdsl.diagnostics.render import render, visible_diagnostics
