@@ -51,6 +51,7 @@ AROUND = {
     "groups": [{"version": 2, "name": "arms", "members": [{"name": "elbow", "weight": 0.5}], "channels": [{"name": "load"}]}],
     "legs": [{"name": "only", "upper": "root", "lower": "elbow", "foot": "tip"}],
     "gaits": [{"name": "hop", "speed": 3, "stride": 1.5, "duty": 0.6, "lift": 0.25, "phases": [0.5]}], "idle": "bend",
+    "variation": {"scale": {"arms": [0.5, 2]}, "materials": {"wood": [[0.4, 0.3, 0.1], [0.1, 0.1, 0.1]]}},
     "metadata": {"who": "us", "size": {"type": "float", "value": 2}, "deep": {"list": [1, 2]}},
 }  # fmt: skip
 

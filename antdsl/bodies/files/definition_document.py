@@ -30,20 +30,20 @@ def read_document(root: Node, files: BodyFiles, name: str) -> Parts | None:
         return None
     tree = _insert_files(root, files)
     form = read_form(BodyForm, tree, report)
-    if form is None:
+    if form is None or not report.ok:
         return None
     base = None if form.base is None else _read_base(form.base, find_node(root, ("from",)), files, name)
     rig = base.rig if base is not None else None
     if form.rig is not None:
         rig = build_rig(form.rig, find_node(tree, ("rig",)), report)
     if rig is None:
-        if form.base is None and root.inner("rig") is None:
+        if form.base is None and form.rig is None:
             words = "a definition needs joints: a `rig`, or a file for the whole body under `from`"
             report.error("missing-key", words, root.mark, 'add `"rig": {"file": "rig.json"}`')
         return None
     base = replace(base or Definition(name, rig), rig=rig)
     base = replace(base, name=form.name or base.name, unit=form.units or base.unit, **_read_axes(form, root, base, report))
-    shapes, materials = dict(base.shapes), base.materials | form.materials
+    shapes, materials = dict(base.shapes), {**base.materials, **form.materials}
     read_includes(form, root, files, shapes, materials)
     read_shapes(form, root, files, base.unit, shapes, materials)
     parts = Parts(base, root.mark, measured=form.length is None)
@@ -76,31 +76,26 @@ def read_document(root: Node, files: BodyFiles, name: str) -> Parts | None:
 def _insert_files(root: Node, files: BodyFiles) -> Node:
     """Return the tree of a definition with the parts that are in separate files in their places, and without those that cannot
     be read."""
+
+    def part(node: Node, what: str) -> Node | None:
+        file = node.inner("file")
+        if file is None or len(node.keys) != 1 or not isinstance(file.value, str):
+            return node
+        return files.read_part(file.value, what, file.span)
+
     if not isinstance(root.value, dict):
         return root
-    entries = dict(root.value)
-    for key in [key for key in _SEPARATE if key in entries]:
-        node, what = entries[key], _SEPARATE[key]
-        part: Node | None
-        if key in ("layers", "groups"):
-            items = [node.inner(number) for number in range(len(node.value) if isinstance(node.value, list) else 0)]
-            parts = [_separate_part(each, what, files) for each in items if each is not None]
-            part = replace(node, value=[each for each in parts if each is not None]) if parts else node
+    entries: dict[str, Node | None] = dict(root.value)
+    for key, what in _SEPARATE.items():
+        node = root.value.get(key)
+        if node is None:
+            continue
+        if isinstance(node.value, list) and not node.numbers and key in ("layers", "groups"):
+            items = [part(each, what) for each in node.value if isinstance(each, Node)]
+            entries[key] = replace(node, value=[each for each in items if each is not None])
         else:
-            part = _separate_part(node, what, files)
-        if part is None:
-            del entries[key]
-        else:
-            entries[key] = part
-    return replace(root, value=entries)
-
-
-def _separate_part(node: Node, what: str, files: BodyFiles) -> Node | None:
-    """Return the tree of a part in a separate file (an object with `file` and nothing else); any other node as it is."""
-    file = node.inner("file")
-    if file is None or len(node.keys) != 1 or not isinstance(file.value, str):
-        return node
-    return files.read_part(file.value, what, file.span)
+            entries[key] = part(node, what)
+    return replace(root, value={key: node for key, node in entries.items() if node is not None})
 
 
 def _note_places(parts: Parts, key: str, names: list[str], root: Node, tree: Node, report: Report) -> None:

@@ -59,6 +59,8 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
         document["gaits"] = [asdict(gait) for gait in body.gaits]
     if body.idle:
         document["idle"] = body.idle
+    if body.variation:
+        document["variation"] = {"scale": dict(body.variation.scales), "materials": dict(body.variation.materials)}
     if body.metadata:
         document["metadata"] = part("metadata", write_metadata(body.metadata))
     return {f"{name}.json": json_text(document).encode()} | files

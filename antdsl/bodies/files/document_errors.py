@@ -12,10 +12,12 @@ from pydantic.fields import FieldInfo
 from antdsl import limits
 from antdsl.bodies.files.document_model import DocumentedForm, Form, keys_of
 from antdsl.bodies.files.json_text import Node, find_node, find_span
-from antdsl.diagnostics import Label, Report
+from antdsl.diagnostics import Diagnostic, Label, Report
+from antdsl.diagnostics.model import Severity
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.scene.document import Key
 from antdsl.scene.load import drop_consequences
+from antdsl.source import Span
 
 F = TypeVar("F", bound=Form)
 Path = tuple[Key, ...]
@@ -32,39 +34,35 @@ _TYPES: dict[str, tuple[str, str | None]] = {
 }
 
 
+_CONTAINERS = ("list_type", "tuple_type", "dict_type", "model_type")
+
+
 def read_form(form: type[F], root: Node, report: Report) -> F | None:
-    """Return the model of a document, or None if one of its mistakes is an error."""
+    """Return the model of a document, or None if one of its mistakes is an error. One mistake is reported for each place."""
     tree = _plain(root)
     while True:
         try:
             return form.model_validate(tree)
         except ValidationError as problem:
             errors = drop_consequences(problem.errors(include_url=False, include_input=False)[:_MOST_ERRORS])
-        ignored = [error for error in errors if _is_ignored(form, error)]
-        seen: set[tuple[int, int]] = set()
-        for error in errors:
-            _report_error(form, root, report, error, seen)
-        if len(ignored) < len(errors):
+        diagnostics: dict[Span | None, Diagnostic] = {}
+        for diagnostic in (_diagnose(form, root, error) for error in errors):
+            diagnostics.setdefault(diagnostic.span, diagnostic)
+        for diagnostic in diagnostics.values():
+            report.add(diagnostic)
+        if any(diagnostic.severity == "error" for diagnostic in diagnostics.values()):
             return None
-        for error in ignored:
+        for error in errors:
             _delete(tree, error["loc"])
 
 
 def _plain(node: Node) -> Any:
+    """Return the values of a tree."""
     if isinstance(node.value, dict):
         return {key: _plain(value) for key, value in node.value.items()}
     if isinstance(node.value, list) and not node.numbers:
         return [_plain(item) for item in node.value if isinstance(item, Node)]
     return _NULL if node.value is None else node.value
-
-
-def _is_ignored(form: type[Form], error: Any) -> bool:
-    """Return whether an error is only a warning: an unknown key of a documented form."""
-    return (
-        error["type"] == "extra_forbidden"
-        and "meant" not in error
-        and issubclass(_form_at(form, error["loc"])[0], DocumentedForm)
-    )
 
 
 def _delete(tree: Any, path: Path) -> None:
@@ -74,50 +72,57 @@ def _delete(tree: Any, path: Path) -> None:
     del tree[path[-1]]
 
 
-def _report_error(form: type[Form], root: Node, report: Report, error: Any, seen: set[tuple[int, int]]) -> None:
-    """Report an error of pydantic, the first one of each place."""
+def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
+    """Return the finding about an error of pydantic."""
     kind, path, context = error["type"], tuple(error["loc"]), error.get("ctx", {})
     owner, field = _form_at(form, path)
-    code, help, labels, is_key = "wrong-value", None, (), False
-    node = find_node(root, path)
-    is_short = kind == "missing" and isinstance(path[-1], int)
+    last, example = path[-1] if path else "", _example(field)
     if kind == "worded":
-        code, words, help = context.get("code", code), context["words"], context["help"] or None
-        path, is_key = (*path, *context.get("at", ())), "key" in context
-        if "first" in context:
-            labels = (Label(find_span(root, (*error["loc"], *context["first"])), "here first"),)
-    elif kind == "extra_forbidden":
-        near = error.get("meant") or nearest_name(str(path[-1]), keys_of(owner))
-        known = ", ".join(f"`{key}`" for key in keys_of(owner))
-        words = f"`{str(path[-1])[:60]}` is not a key of {owner.noun}"
-        code, help, is_key = "unknown-key", f'write `"{near}"`' if near else f"known here: {known}", True
-    elif kind == "missing" and not is_short:
-        code, words = "missing-key", f"{owner.noun} has no `{path[-1]}`"
-        help = f'add `"{path[-1]}": {_example(field)}`'
-    elif kind in ("greater_than_equal", "less_than_equal"):
-        bound = context["ge" if kind == "greater_than_equal" else "le"]
-        code, words = "out-of-range", f"{_subject(path, owner)} must be at {'least' if 'ge' in context else 'most'} {bound:g}"
+        return _diagnose_worded(root, path, context)
+    if kind == "extra_forbidden":
+        return _diagnose_unknown_key(owner, find_span(root, path, key=True), str(last), error.get("meant"))
+    if kind == "missing" and isinstance(last, str):
+        words, help = f"{owner.noun} has no `{last}`", f'add `"{last}": {example}`'
+        return Diagnostic("missing-key", words, find_span(root, path), help=help)
+    if kind in ("greater_than_equal", "less_than_equal"):
+        most, bound = ("least", context["ge"]) if "ge" in context else ("most", context["le"])
         help = f"write `{bound:g}`" if abs(bound) < limits.LARGEST else None
-    elif kind in _TYPES:
-        what, help = _TYPES[kind]
-        words = f"{_subject(path, owner)} must be {what}, not {'a number' if node.numbers and path[-1:] else node.kind}"
-        help = "leave the key out" if node.value is None else f"write `{_example(field)}`" if _example(field) else help
-    else:  # a list of another number of values
-        path = path[:-1] if is_short else path
-        node = find_node(root, path)
-        words = f"{_subject(path, owner)} has {len(node.value) if isinstance(node.value, list) else 0} values, which is too "
-        words += "few" if is_short else "many"
-        help = f'write `"{field.alias}": {_example(field)}`' if field is not None and _example(field) else None
-    is_key = is_key or path[-1:] == ("[key]",)
-    path = path[:-1] if path[-1:] == ("[key]",) else path
-    span = find_span(root, path, key=is_key)
-    if "complete" in context or (kind in ("missing", "too_long") and node.numbers):
-        span = find_node(root, path).span
-    if (span.start, span.end) in seen:
-        return
-    seen.add((span.start, span.end))
-    add = report.warning if _is_ignored(form, error) else report.error
-    add(code, words, span, help, labels=labels)
+        words = f"{_subject(path, owner)} must be at {most} {bound:g}"
+        return Diagnostic("out-of-range", words, find_span(root, path), help=help)
+    node = find_node(root, path)
+    if kind in _TYPES:
+        expectation, help = _TYPES[kind]
+        if node.value is None:
+            help = "delete it" if isinstance(last, int) else "leave the key out"
+        elif kind in _CONTAINERS and example:
+            help = f"write `{example}`"
+        found = "a number" if node.numbers and isinstance(last, int) else node.kind
+        words = f"{_subject(path, owner)} must be {expectation}, not {found}"
+        return Diagnostic("wrong-value", words, find_span(root, path), help=help)
+    path = path[:-1] if kind == "missing" else path
+    node = find_node(root, path)
+    count = len(node.value) if isinstance(node.value, list) else 0
+    words = f"{_subject(path, owner)} has {count} value{'' if count == 1 else 's'}: too {'few' if kind == 'missing' else 'many'}"
+    return Diagnostic("wrong-value", words, node.span if node.numbers else node.mark)
+
+
+def _diagnose_worded(root: Node, path: Path, context: Any) -> Diagnostic:
+    """Return the finding about an error of `document_model`. `at`: the rest of its path; `key`: its place is that of the key;
+    `complete`: all of the value is marked; `first`: the path of another place."""
+    is_key = "key" in context or path[-1:] == ("[key]",)
+    labels = (Label(find_span(root, (*path, *context["first"])), "here first"),) if "first" in context else ()
+    path = (*(path[:-1] if path[-1:] == ("[key]",) else path), *context.get("at", ()))
+    span = find_node(root, path).span if "complete" in context else find_span(root, path, key=is_key)
+    code = context.get("code", "wrong-value")
+    return Diagnostic(code, context["words"], span, help=context["help"] or None, labels=labels)
+
+
+def _diagnose_unknown_key(owner: type[Form], span: Span, key: str, meant: str | None) -> Diagnostic:
+    near = meant or nearest_name(key, keys_of(owner))
+    known = ", ".join(f"`{each}`" for each in keys_of(owner))
+    help = f'write `"{near}"`' if near else f"known here: {known}"
+    severity: Severity = "error" if meant or not issubclass(owner, DocumentedForm) else "warning"
+    return Diagnostic("unknown-key", f"`{key[:60]}` is not a key of {owner.noun}", span, severity, help)
 
 
 def _subject(path: Path, owner: type[Form]) -> str:

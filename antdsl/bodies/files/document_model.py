@@ -68,15 +68,15 @@ def _check_filled(value: str) -> str:
     return _check_text(value)
 
 
-def one_of(*words: str) -> AfterValidator:
+def one_of(*words: str) -> BeforeValidator:
     """One word of a closed list."""
 
-    def check(value: str) -> str:
+    def check(value: Any) -> Any:
         if value not in words:
             raise make_error(f"this must be one of `{'`, `'.join(words)}`", f'write `"{words[0]}"`')
         return value
 
-    return AfterValidator(check)
+    return BeforeValidator(check)
 
 
 def edition(number: int) -> BeforeValidator:
@@ -286,8 +286,8 @@ class ClipForm(ClipSettings):
     antdsl_clip: Annotated[int, edition(1)] = Field(examples=["1"])
     name: Text
     rate: SampleRate = Field(examples=["24"])
-    rotation_order: Annotated[str, Strict(), one_of(*ORDERS)] | None = None
-    angles: Annotated[str, Strict(), one_of("degrees", "radians")] | None = None
+    rotation_order: Annotated[str, one_of(*ORDERS)] | None = None
+    angles: Annotated[str, one_of("degrees", "radians")] | None = None
     channels: Annotated[dict[str, Samples], AfterValidator(_check_channels)] = Field(examples=[_CHANNELS])
 
     @model_validator(mode="after")
@@ -369,7 +369,11 @@ class GaitForm(Form):
 
 def _check_colours(colours: tuple[Colour, ...]) -> tuple[Colour, ...]:
     if not 2 <= len(colours) <= limits.BODY_PARTS:
-        raise make_error(f"a material varies between two colours or more, not {len(colours)}", "write two", code="wrong-count")
+        raise make_error(
+            f"a material varies between two colours at least, not {len(colours)}",
+            "write two colours, or more",
+            code="wrong-count",
+        )
     return colours
 
 
