@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.definition import BodyError, Clip, Rig
 from antdsl.bodies.agents.transforms import align_signs, parts_of, slerp, unit_quaternion
+from antdsl.bodies.files.gltf_shapes import unused_name
 from antdsl.scene.geometry.gltf_file import Gltf
 
 if TYPE_CHECKING:
@@ -35,10 +36,7 @@ def read_clips(file: Gltf, joint: Mapping[int, str], weights: Mapping[int, tuple
     clips: dict[str, Clip] = {}
     left = limits.CLIP_BYTES
     for number, animation in enumerate(animations):
-        name, count = file.name(animation, f"clip{number}"), 2
-        own = name
-        while name in clips:
-            name, count = f"{own}_{count}", count + 1
+        name = unused_name(file.name(animation, f"clip{number}"), clips)
         clip, size = _read_clip(file, animation, name, joint, weights, rig, rate, left)
         left -= size
         if clip is not None:
@@ -82,7 +80,9 @@ def _read_clip(
         return None, 0
     if seconds * rate > limits.CLIP_SAMPLES:
         raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
-    settings = _read_settings(animation, name)
+    extras = animation.get("extras")
+    own = extras.get(EXTRAS) if isinstance(extras, dict) else None
+    settings = None if own is None else read_settings(own, "extras", name)
     exact_rate = settings.rate if settings is not None and settings.rate is not None else 0.0
     times, rate = even_times(seconds, exact_rate or rate)
     if exact_rate and abs(rate - exact_rate) <= _SAME * rate:  # float32 keys do not hold it to the last bit
@@ -107,9 +107,7 @@ def _read_clip(
         shear.astype(np.float32) if (np.abs(shear) > 1e-6).any() else None,
         tuple(shares), np.ascontiguousarray(values, np.float32),
     )  # fmt: skip
-    if settings is not None:
-        clip = replace(clip, loop=settings.loop, stride=settings.stride, marks=settings.marks, feet=settings.feet)
-    return clip, size
+    return (clip if settings is None else with_settings(clip, settings)), size
 
 
 def write_settings(clip: Clip) -> dict[str, Any]:
@@ -122,13 +120,15 @@ def write_settings(clip: Clip) -> dict[str, Any]:
     return {EXTRAS: settings}
 
 
-def _read_settings(animation: dict[str, Any], name: str) -> AnimationSettings | None:
-    """Return the settings in the extras of an animation, if there are any. Raises BodyError for wrong values."""
-    extras = animation.get("extras")
-    settings = extras.get(EXTRAS) if isinstance(extras, dict) else None
-    if settings is None:
-        return None
-    from pydantic import ValidationError  # late, as what follows: most glTF files have no such extras
+def with_settings(clip: Clip, settings: AnimationSettings) -> Clip:
+    """Return a clip with the settings of its animation."""
+    return replace(clip, loop=settings.loop, stride=settings.stride, marks=settings.marks, feet=settings.feet)
+
+
+def read_settings(settings: Any, holder: str, name: str) -> AnimationSettings:
+    """Return the settings of a clip called `name`. `holder`: what they are in, `extras` of glTF or `customData` of USD. Raises
+    BodyError for wrong values."""
+    from pydantic import ValidationError  # late, as what follows: most files have no such settings
 
     from antdsl.bodies.files.document_model import AnimationSettings
 
@@ -137,8 +137,8 @@ def _read_settings(animation: dict[str, Any], name: str) -> AnimationSettings | 
     except ValidationError as problem:
         error = problem.errors(include_url=False, include_input=False)[0]
         path = "".join(f" at `{str(key)[:60]}`" for key in error["loc"])
-        hint = "the extras must be an object of rate, stride, loop, feet and marks: delete or correct it"
-        raise BodyError(f"has unknown extras `{EXTRAS}` in the clip `{name}`{path}", hint) from None
+        hint = f"the {holder} must be an object of rate, stride, loop, feet and marks: delete or correct it"
+        raise BodyError(f"has unknown {holder} `{EXTRAS}` in the clip `{name}`{path}", hint) from None
 
 
 class _Keys:
