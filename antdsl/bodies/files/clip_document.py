@@ -36,8 +36,7 @@ def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = Non
     report.extend(findings)
     if not findings.ok:
         return None
-    channels = {name: np.array(each, np.float64) for name, each in form.channels.items()}
-    unit = 1.0 if form.angles == "radians" else np.pi / 180
+    channels, unit = form.channels, 1.0 if form.angles == "radians" else np.pi / 180
     parts = np.empty((samples, len(joints), 12))
     parts[:] = _rest_parts(joints, rig)
     rotation = np.empty((samples, len(joints), 4))

@@ -14,7 +14,7 @@ from antdsl.bodies.agents.definition import Clip, Definition, Shape
 from antdsl.bodies.agents.other_axes import convert_axes
 from antdsl.bodies.agents.transforms import parts_of
 from antdsl.bodies.files.clip_document import write_clip
-from antdsl.bodies.files.document_model import unit_mm
+from antdsl.bodies.files.document_model import axis_word, unit_mm
 from antdsl.bodies.files.documents import json_text, write_group, write_layer, write_metadata, write_rig
 from antdsl.bodies.files.gltf_writer import GltfWriter, ShapeParts
 from antdsl.scene.model import UNIT_MM
@@ -38,7 +38,7 @@ def definition_files(body: Definition, name: str) -> dict[str, bytes]:
         return {"file": f"{name}/{own}.json"}
 
     document: dict[str, Any] = {
-        "antdsl_body": 1, "name": body.name, "front": _axis_text(body.front), "up": _axis_text(body.up), "units": unit,
+        "antdsl_body": 1, "name": body.name, "front": axis_word(body.front), "up": axis_word(body.up), "units": unit,
         "length": body.length, "rig": part("rig", write_rig(body.rig)),
     }  # fmt: skip
     if body.materials:
@@ -127,11 +127,6 @@ def _with_shear(body: Definition, clip: Clip) -> Clip:
     if clip.shear is not None or np.abs(parts_of(body.rig.rest)[3]).max(initial=0.0) < 1e-9:
         return clip
     return replace(clip, shear=np.zeros_like(clip.translation))
-
-
-def _axis_text(axis: tuple[float, float, float]) -> str:
-    number = int(np.argmax(np.abs(axis)))
-    return f"{'+' if axis[number] > 0 else '-'}{'xyz'[number]}"
 
 
 def _file_name(name: str) -> str:

@@ -5,8 +5,10 @@ Texts, numbers and booleans are strict. `document_errors` turns what does not ma
 definition, such as the name of a joint, is checked when the definition is built."""
 
 import re
-from typing import Annotated, Any, ClassVar, Protocol, Self, TypeVar
+from typing import Annotated, Any, ClassVar, Self
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -15,8 +17,10 @@ from pydantic import (
     Discriminator,
     FailFast,
     Field,
+    PlainValidator,
     Strict,
     Tag,
+    TypeAdapter,
     ValidationInfo,
     model_validator,
 )
@@ -26,9 +30,7 @@ from antdsl.bodies.agents.transforms import ORDERS
 from antdsl.scene.model import UNIT_MM
 from antdsl.scene.values import make_error
 
-AXES = {
-    f"{sign}{letter}": tuple(float(f"{sign}1") if letter == each else 0.0 for each in "xyz") for letter in "xyz" for sign in "+-"
-}
+AXES = {f"{sign}{letter}": tuple(float(f"{sign}{each == letter:d}") for each in "xyz") for letter in "xyz" for sign in "+-"}
 _UNIT = re.compile(rf"(?:(\d{{1,6}}(?:\.\d{{1,9}})?) )?({'|'.join(UNIT_MM)})")
 _NAME_CHARACTERS = 1000
 _LEAST_SCALE, _MOST_SCALE = 0.1, 10.0  # times as large as in the rest pose
@@ -43,14 +45,6 @@ class Form(BaseModel):
 
 class DocumentedForm(Form):
     """An object in a form that others published. A later version may have further keys, so an unknown one is only a warning."""
-
-
-class _Named(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
-F = TypeVar("F", bound=_Named)
 
 
 # ---- values
@@ -109,7 +103,7 @@ def _refuse_numbers(entries: Any) -> Any:
     return entries
 
 
-def _check_names(entries: tuple[F, ...]) -> tuple[F, ...]:
+def _check_names(entries: tuple[Any, ...]) -> tuple[Any, ...]:
     first: dict[str, int] = {}
     for number, entry in enumerate(entries):
         if entry.name in first:
@@ -138,6 +132,11 @@ def _read_axis(value: Any, info: ValidationInfo) -> Any:
         letter = value if isinstance(value, str) and f"+{value}" in AXES else "z" if info.field_name == "front" else "y"
         raise make_error(f"`{info.field_name}` must be one of the axes `+x` `-x` `+y` `-y` `+z` `-z`", f'write `"+{letter}"`')
     return AXES[value]
+
+
+def axis_word(axis: tuple[float, float, float]) -> str:
+    """Return the word for an axis, such as `+x`."""
+    return next(word for word, each in AXES.items() if each == axis)
 
 
 Flag = Annotated[bool, Strict()]
@@ -252,17 +251,23 @@ class GroupForm(DocumentedForm):
 # ---- clips
 
 _CHANNELS = '{"JOINT:tx": [0, 1]}'
-Samples = Annotated[
-    list[Number], FailFast(), BeforeValidator(lambda value: value if isinstance(value, list | dict) else [value])
-]  # a number is a constant channel
+_NUMBERS = TypeAdapter(Annotated[list[Number], FailFast()])
 
 
-def _check_channels(channels: dict[str, list[float]]) -> dict[str, list[float]]:
+def _read_samples(value: Any) -> NDArray[np.float64]:
+    """Return the samples of a channel; a single number is a constant channel."""
+    return np.array(_NUMBERS.validate_python(value if isinstance(value, list | dict) else [value]), np.float64)
+
+
+Samples = Annotated[Any, PlainValidator(_read_samples)]
+
+
+def _check_channels(channels: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
     if not channels:
         raise make_error("a clip has at least one channel", f"write `{_CHANNELS}`")
     longest, first = 1, ""
     for name, samples in channels.items():
-        if not samples:
+        if not len(samples):
             raise make_error(f"`{name[:60]}` has no samples", "leave the channel out", at=(name,), complete=True)
         if len(samples) > 1 and longest > 1 and len(samples) != longest:
             words = f"`{name[:60]}` has {len(samples):,} samples, but `{first[:60]}` has {longest:,}"
