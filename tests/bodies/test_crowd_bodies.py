@@ -12,8 +12,8 @@ from commands import run
 from antdsl.bodies.agents.definition import Binding, Layer, language_names
 from antdsl.bodies.crowd_bodies import body_room, clip_data
 from antdsl.bodies.files import reading
-from antdsl.bodies.files.gltf_written import write_gltf
 from antdsl.bodies.files.reading import read_definition
+from antdsl.bodies.files.writing import write_gltf
 from antdsl.bodies.library import library_body
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import open_cache

@@ -14,10 +14,9 @@ from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.other_axes import convert_axes
 from antdsl.bodies.agents.poses import clip_table
-from antdsl.bodies.files.definition_written import definition_files
 from antdsl.bodies.files.documents import TypedValue
-from antdsl.bodies.files.gltf_written import write_gltf
 from antdsl.bodies.files.reading import read_definition
+from antdsl.bodies.files.writing import definition_files, write_gltf
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody, own_layer
 from tests.commands import run

@@ -4,4 +4,4 @@
 into the models of `document_model` and reports mistakes. `definition_document` builds the definition, `documents`,
 `clip_document` and `shape_references` its parts, `named_files` opens what a file names, `definition_checks` looks at the complete
 definition. `gltf_body` and `usd_body` make a definition of a glTF or a USD file; the latter runs in the reader's process alone.
-`definition_written` and `gltf_written` write one."""
+`writing` writes one."""

@@ -68,7 +68,7 @@ def check_definition(parts: Parts, report: Report) -> Definition | None:
         for name in varied:
             if name not in known:
                 node = parts.nodes.get((key, name))
-                report_unknown(report, node and node.span, what, name, known)
+                report_unknown(report, node.span if node is not None else None, what, name, known)
     _check_legs(parts, report)
     if not report.ok:
         return None

@@ -19,7 +19,7 @@ from antdsl.bodies.files.shape_references import read_includes, read_shapes
 from antdsl.diagnostics import Label, Report
 from antdsl.source import Span
 
-# The keys of a definition whose value, or each item of it, may be in a separate file, and what it is.
+# The keys of parts that may be in separate files, and what a part is.
 _SEPARATE = {"rig": "a rig", "metadata": "metadata", "layers": "a layer", "groups": "a transform group"}
 
 
@@ -153,7 +153,7 @@ def _read_axes(form: BodyForm, root: Node, base: Definition, report: Report) -> 
     if any(a and b for a, b in zip(front, up, strict=True)):
         node = root.inner("up") or root.inner("front")
         words = "the front and the up axis of the body are parallel"
-        report.error("wrong-value", words, node and node.span, 'write `"up": "+y"`')
+        report.error("wrong-value", words, node.span if node is not None else None, 'write `"up": "+y"`')
     return {"front": front, "up": up}
 
 

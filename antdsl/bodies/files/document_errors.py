@@ -66,8 +66,9 @@ def _plain(node: Node) -> Any:
 
 
 def _delete(tree: Any, path: Path) -> None:
+    """Delete an entry of a tree. Its path may have tags of unions."""
     for key in path[:-1]:
-        if (isinstance(tree, dict) and key in tree) or (isinstance(tree, list) and isinstance(key, int)):
+        if isinstance(key, int) or key in tree:
             tree = tree[key]
     del tree[path[-1]]
 
@@ -77,6 +78,7 @@ def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
     kind, path, context = error["type"], tuple(error["loc"]), error.get("ctx", {})
     owner, field = _form_at(form, path)
     last, example = path[-1] if path else "", _example(field)
+    help: str | None
     if kind == "worded":
         return _diagnose_worded(root, path, context)
     if kind == "extra_forbidden":
@@ -96,8 +98,8 @@ def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
             help = "delete it" if isinstance(last, int) else "leave the key out"
         elif kind in _CONTAINERS and example:
             help = f"write `{example}`"
-        found = "a number" if node.numbers and isinstance(last, int) else node.kind
-        words = f"{_subject(path, owner)} must be {expectation}, not {found}"
+        actual = "a number" if node.numbers and isinstance(last, int) else node.kind
+        words = f"{_subject(path, owner)} must be {expectation}, not {actual}"
         return Diagnostic("wrong-value", words, find_span(root, path), help=help)
     path = path[:-1] if kind == "missing" else path
     node = find_node(root, path)

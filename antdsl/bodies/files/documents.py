@@ -95,7 +95,7 @@ def _report_missing_child(report: Report, place: Span, name: str, child: str, fr
 def _report_circles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> bool:
     """Report each cycle once, at the line that closes it. Return whether there is one."""
     visited: set[str] = set()
-    found = False
+    has_circle = False
     for start in parent:
         chain: dict[str, None] = {}
         name = start
@@ -105,12 +105,12 @@ def _report_circles(report: Report, parent: Mapping[str, tuple[str, Span]]) -> b
                 circle_text = " below ".join(f"`{each}`" for each in [*circle[:4], *(["…"] if len(circle) > 4 else []), name])
                 words = f"the joints {circle_text} hang below each other in a circle"
                 report.error("bad-rig", words, parent[name][1], f"delete `{name}` here, so that one of them is a root")
-                found = True
+                has_circle = True
                 break
             chain[name] = None
             name = parent[name][0]
         visited.update(chain)
-    return found
+    return has_circle
 
 
 def write_rig(rig: Rig) -> str:

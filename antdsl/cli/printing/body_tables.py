@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape, language_names
-from antdsl.bodies.files.document_model import axis_word
+from antdsl.bodies.files.document_values import axis_word
 from antdsl.bodies.files.documents import plain_metadata
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.places import escape_line
