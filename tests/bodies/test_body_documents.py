@@ -141,6 +141,9 @@ LAYERS = [
      "out-of-range", "-1", "write `0`"),
     ('{"version": 2, "name": "x", "static": [{"transform": "a", "shape": "s", "bounds_scale": [1, true, 1]}]}',
      "wrong-value", "true", None),
+    ('{"version": 2, "name": null}', "wrong-value", "null", "leave the key out"),
+    ('{"version": 2, "name": "x", "static": [null]}', "wrong-value", "null", "delete it"),
+    ('{"version": 2, "name": "x", "static": [1, 2]}', "wrong-value", "[", None),
 ]  # fmt: skip
 GROUPS = [
     ('{"version": 2, "name": "x", "members": [{"name": "a", "weight": 1.5}]}', "out-of-range", "1.5", "write `1`"),

@@ -38,19 +38,16 @@ _CONTAINERS = ("list_type", "tuple_type", "dict_type", "model_type")
 
 
 def read_form(form: type[F], root: Node, report: Report) -> F | None:
-    """Return the model of a document, or None if one of its mistakes is an error. One mistake is reported for each place."""
+    """Return the model of a document, or None if one of its mistakes is an error."""
     tree = _plain(root)
     while True:
         try:
             return form.model_validate(tree)
         except ValidationError as problem:
             errors = drop_consequences(problem.errors(include_url=False, include_input=False)[:_MOST_ERRORS])
-        diagnostics: dict[Span | None, Diagnostic] = {}
-        for diagnostic in (_diagnose(form, root, error) for error in errors):
-            diagnostics.setdefault(diagnostic.span, diagnostic)
-        for diagnostic in diagnostics.values():
-            report.add(diagnostic)
-        if any(diagnostic.severity == "error" for diagnostic in diagnostics.values()):
+        diagnostics = [_diagnose(form, root, error) for error in errors]
+        report.extend(diagnostics)
+        if any(diagnostic.severity == "error" for diagnostic in diagnostics):
             return None
         for error in errors:
             _delete(tree, error["loc"])
@@ -98,7 +95,7 @@ def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
             help = "delete it" if isinstance(last, int) else "leave the key out"
         elif kind in _CONTAINERS and example:
             help = f"write `{example}`"
-        actual = "a number" if node.numbers and isinstance(last, int) else node.kind
+        actual = "a number" if path and find_node(root, path[:-1]).numbers else node.kind
         words = f"{_subject(path, owner)} must be {expectation}, not {actual}"
         return Diagnostic("wrong-value", words, find_span(root, path), help=help)
     path = path[:-1] if kind == "missing" else path

@@ -66,8 +66,8 @@ def at_most(limit: str, what: str, owner: str = "a body") -> BeforeValidator:
 
 
 def _refuse_numbers(entries: Any) -> Any:
-    """Refuse numbers at once: a document may have millions of them in a row."""
-    if isinstance(entries, list) and entries and isinstance(entries[0], int | float):
+    """Refuse an array of numbers at once: a document may have millions of them in a row."""
+    if isinstance(entries, list) and entries and all(type(entry) in (int, float) for entry in entries):
         raise make_error("this must be a list of texts or objects, not of numbers")
     return entries
 
@@ -161,6 +161,13 @@ def _check_colours(colours: tuple[Colour, ...]) -> tuple[Colour, ...]:
     return colours
 
 
+def _check_pair(paths: Any) -> Any:
+    if isinstance(paths, list) and len(paths) != 2:
+        words, help = f"a library needs two paths, but this list has {len(paths)}", 'write `["$HIP/lib.glb", "/…/lib.glb"]`'
+        raise make_error(words, help, complete=True)
+    return paths
+
+
 CHANNELS_EXAMPLE = '{"JOINT:tx": [0, 1]}'
 _NUMBERS = TypeAdapter(Annotated[list[Number], FailFast()])
 
@@ -191,4 +198,4 @@ def _check_channels(channels: dict[str, NDArray[np.float64]]) -> dict[str, NDArr
 NoDeformer = Annotated[AnyText, AfterValidator(_refuse_deformer)]
 Colours = Annotated[tuple[Colour, ...], AfterValidator(_check_colours), Entries]
 Channels = Annotated[dict[str, Samples], AfterValidator(_check_channels)]
-PathPair = tuple[AnyText, AnyText]
+PathPair = Annotated[tuple[AnyText, AnyText], BeforeValidator(_check_pair)]
