@@ -79,8 +79,7 @@ def body(
 
 def _write_body(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:
     """Write a definition as another kind of file, and report what is left out."""
-    from antdsl.bodies.files.definition_written import definition_files
-    from antdsl.bodies.files.gltf_written import write_gltf
+    from antdsl.bodies.files.writing import definition_files, write_gltf
     from antdsl.bodies.posed_body import own_layer
     from antdsl.cli.destinations import protect_inputs, require_writable_file, require_writable_folder
     from antdsl.whole import make_folder, write_atomically

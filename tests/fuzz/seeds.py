@@ -301,7 +301,7 @@ def _legged() -> list[bytes]:
 
 
 def body_words() -> tuple[Mutator, ...]:
-    from antdsl.bodies.files.definition_document import KNOWN
+    from antdsl.bodies.files.document_model import BodyForm, keys_of
 
     extra_words = (
         "null",
@@ -325,7 +325,7 @@ def body_words() -> tuple[Mutator, ...]:
         "duty",
         "deforming",
     )
-    return _words(KNOWN, extra_words)
+    return _words(keys_of(BodyForm), extra_words)
 
 
 def image_files() -> list[bytes]:
