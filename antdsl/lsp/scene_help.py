@@ -155,6 +155,10 @@ def _settings(workspace: Workspace, document: Document) -> Iterator[Item]:
                     yield Item(f"{name}.{word}", "property", value, "setting of a field", f"{name}.{word}: {value}")
 
 
+def _has_faces(kind: str) -> bool:
+    return kind in KINDS_OF_THINGS and KINDS_OF_THINGS[kind].has_faces
+
+
 def _values(workspace: Workspace, document: Document, key: str, path: tuple[str, ...]) -> Iterator[Item]:
     things: dict[str, Any] = {n: i for each in _crowd_programs(workspace, document) for n, i in each.names.things.items()}
     if key == "species":
@@ -168,7 +172,7 @@ def _values(workspace: Workspace, document: Document, key: str, path: tuple[str,
     elif key in ("units", "up"):
         yield from (Item(word, "unit") for word in (("mm", "cm", "m") if key == "units" else ("x", "y", "z")))
     elif key in ("on", "border"):
-        yield from (Item(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in ("surface", "solid", "obstacle"))
+        yield from (Item(n, "thing", i.kind.text) for n, i in things.items() if _has_faces(i.kind.text))
     elif key in ("around", "toward", "away", "solved"):
         yield from (Item(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in ("items", "curve"))
         yield from (Item(name, "thing", "item") for name in document.scene.items)

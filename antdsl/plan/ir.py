@@ -17,6 +17,7 @@ from typing import Any
 
 from antdsl.program.tables import senses
 from antdsl.program.tables.rows import Sense
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.source import Span
 
 
@@ -397,3 +398,11 @@ class Plan:
     def of_kind(self, *kinds: str) -> tuple[str, ...]:
         """The names of the things of some kinds."""
         return tuple(name for kind in kinds for name in self.things.get(kind, ()))
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """The names of the things that agents cannot walk through."""
+        return self.of_kind(*_BLOCKING)
+
+
+_BLOCKING = tuple(row.word for row in KINDS_OF_THINGS.values() if row.blocks)

@@ -11,12 +11,14 @@ from antdsl.diagnostics import Fix, Label
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
 from antdsl.program.names.scope import Scope, bad_expression, list_names
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.types.descriptions import quote_source, report_mismatch
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number
 
-PLACE_KINDS = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.CURVE, Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.PLACE})
+_THINGS = frozenset(Kind(row.word) for row in KINDS_OF_THINGS.values() if row.nearest and not row.has_values)
+PLACE_KINDS = _THINGS | {Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.PLACE}
 Called = nodes.Call | nodes.Ask
 ArgumentsBySlot = dict[str, list[nodes.Argument]]
 
