@@ -4,6 +4,7 @@ lists and the editor's help come from them. The class that reads a kind from a s
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +33,7 @@ class KindOfThing:
     is_ground: bool = False
     blocks: bool = False
     is_dug: bool = False
-    look: str = "ground"
+    look: Literal["ground", "stone"] = "ground"
 
     @property
     def has_faces(self) -> bool:
@@ -133,6 +134,7 @@ _ROWS = (
     ),
 )
 KINDS_OF_THINGS: dict[str, KindOfThing] = {row.word: row for row in _ROWS}
+WITH_FACES = tuple(row.word for row in _ROWS if row.has_faces)
 
 
 def replacements(kind: str) -> tuple[str, ...]:

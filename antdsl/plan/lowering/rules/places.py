@@ -11,7 +11,6 @@ from antdsl.plan.lowering.expressions import lower, scalar
 from antdsl.plan.lowering.values import Element, EntityRef, Hit, NamedThing, OwnPlace, Value, Vec
 from antdsl.plan.lowering.writer import AXES, UnsupportedConstruct, Writer
 from antdsl.program import model
-from antdsl.program.tables.things import KINDS_OF_THINGS, KindOfThing
 
 
 def where(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
@@ -39,12 +38,11 @@ def offset_to(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
         return b.true, Vec(b("pair.x"), b("pair.y"), b("pair.z"))
     if isinstance(value, Hit):
         return value.hit, values.scale(b, value.direction, value.distance)
-    nearest = _nearest_operation(value)
-    if isinstance(value, NamedThing) and nearest == "obstacle.near":
-        near = b(nearest, b.number(inf), attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest == "obstacle.near":
+        near = b(value.row.nearest, b.number(inf), attrs=(value.name,))
         within, distance, x, y, z = (b("get", near, attrs=(i,)) for i in range(5))
         return within, values.scale(b, Vec(x, y, z), b("neg", distance))
-    if isinstance(value, NamedThing) and nearest == "curve.closest":
+    if isinstance(value, NamedThing) and value.row.nearest == "curve.closest":
         is_present: Node = b.true
         point = _point(w, value.name)
     elif isinstance(value, Vec | OwnPlace | EntityRef):
@@ -62,34 +60,22 @@ def distance_to(w: Writer, value: Value, e: model.Expr) -> Node:
         return b("pair.distance")
     if isinstance(value, Hit):
         return b("where", value.hit, value.distance, b.number(inf))
-    nearest = _nearest_operation(value)
-    if isinstance(value, NamedThing) and nearest == "curve.closest":
-        return b("get", b(nearest, attrs=(value.name,)), attrs=(0,))
-    if isinstance(value, NamedThing) and nearest == "obstacle.near":
-        near = b(nearest, b.number(inf), attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest == "curve.closest":
+        return b("get", b(value.row.nearest, attrs=(value.name,)), attrs=(0,))
+    if isinstance(value, NamedThing) and value.row.nearest == "obstacle.near":
+        near = b(value.row.nearest, b.number(inf), attrs=(value.name,))
         return b("where", b("get", near, attrs=(0,)), b("get", near, attrs=(1,)), b.number(inf))
     is_present, offset = offset_to(w, value, e)
     return b("where", is_present, values.length(b, offset), b.number(inf))
 
 
-def _row(value: Value) -> KindOfThing | None:
-    """Return the row of a thing of the world, None for other values."""
-    return KINDS_OF_THINGS.get(value.kind.value) if isinstance(value, NamedThing) else None
-
-
-def _nearest_operation(value: Value) -> str:
-    row = _row(value)
-    return "" if row is None else row.nearest
-
-
 def _nearest_of(w: Writer, value: Value) -> Value:
     """Of several items or agents, the nearest."""
-    nearest = _nearest_operation(value)
-    if isinstance(value, NamedThing) and nearest == "set.items":
-        every = w.b(nearest, w.b.number(inf), attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest == "set.items":
+        every = w.b(value.row.nearest, w.b.number(inf), attrs=(value.name,))
         return EntityRef(model.Kind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
-    if isinstance(value, NamedThing) and nearest == "set.every":
-        every = w.b(nearest, attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest == "set.every":
+        every = w.b(value.row.nearest, attrs=(value.name,))
         return EntityRef(model.Kind.AGENT, value.name, w.b("reduce.agent", every, w.b.true, w.b("pair.distance")))
     return value
 
@@ -166,8 +152,8 @@ def _touching(w: Writer, e: model.Op) -> Value:
     value, expr = _place(w, e)
     b = w.b
     radius = w.read("radius")
-    row = _row(value)
-    if isinstance(value, NamedThing) and row is not None:
+    if isinstance(value, NamedThing):
+        row = value.row
         if row.touching:
             return b(row.touching, attrs=(value.name,))
         if row.has_faces:
