@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import posixpath
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -111,7 +111,7 @@ class Staging:
             return None
 
 
-# By mapping of the setting, in the order of staging: items are on surfaces, and flows lead to items and curves.
+# By mapping of the setting.
 READERS: Mapping[str, Callable[[Staging, str, Any], Any]] = {
     "surfaces": stage_mesh, "obstacles": stage_mesh, "solids": stage_solid, "curves": stage_curve, "items": place_items,
     "flows": stage_flow, "maps": stage_map,
@@ -121,14 +121,19 @@ CHECKS: Mapping[str, Callable[[Staging], None]] = {
 }  # fmt: skip
 
 
-def _stage_things(staging: Staging, groups: Iterable[str] = READERS) -> None:
+_MESHES = ("surfaces", "obstacles", "solids")
+
+
+def _stage_things(staging: Staging, *groups: str) -> None:
+    """Stage the things of some groups in the program's order. Caches list curves and items in the scene's order."""
+    program, scene = staging.program.world, staging.scene.model.world
+    for name in scene if groups[0] in ("curves", "items") else program:
+        kind, value = KINDS.get(program[name].kind) if name in program else None, scene.get(name)
+        if kind is not None and kind.group in groups and isinstance(value, kind.models):
+            data = kind.stage(staging, name, value)
+            if data is not None:
+                getattr(staging, kind.group)[name] = data
     for group in groups:
-        for name, thing in staging.program.world.items():
-            kind, value = KINDS.get(thing.kind), staging.scene.model.world.get(name)
-            if kind is not None and kind.group == group and isinstance(value, kind.models):
-                data = kind.stage(staging, name, value)
-                if data is not None:
-                    getattr(staging, group)[name] = data
         if group in CHECKS:
             CHECKS[group](staging)
 
@@ -139,8 +144,9 @@ def stage(
     """Return the setting, the report, and a hash of each file read. `overrides`: params from the user."""
     staging = Staging(scene, program)
     model = scene.model
-    _stage_things(staging)
-    staging.items = {name: staging.items[name] for name in model.world if name in staging.items}  # the order of caches
+    for group in (*_MESHES, "curves", "items"):
+        _stage_things(staging, group)
+    _stage_things(staging, "flows", "maps")  # they lead to curves and items
     item_points = {item.name: item.position for group in staging.items.values() for item in group} | {
         name: group[0].position for name, group in staging.items.items() if group
     }
@@ -207,7 +213,8 @@ def stage(
 def import_reports(scene: Scene, program: Program) -> dict[str, MeshImport]:
     """Return the report on each mesh that can be read, even if the scene has errors."""
     staging = Staging(scene, program)
-    _stage_things(staging, ("surfaces", "obstacles", "solids"))
+    for group in _MESHES:
+        _stage_things(staging, group)
     return collect_imports(staging)
 
 
