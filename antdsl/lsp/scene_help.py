@@ -13,6 +13,7 @@ from antdsl.program.names.declared import declaration
 from antdsl.program.tables.things import KINDS_OF_THINGS, WITH_FACES
 from antdsl.scene import model
 from antdsl.scene.matching import FRAME_ATTRIBUTES
+from antdsl.scene.thing_models import ItemThing
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIELD_SETTINGS, FIXED_SETTINGS
 
@@ -124,7 +125,7 @@ def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> I
     thing = things.get(path[1])
     if thing is not None and thing.kind.text == "items":
         if len(path) > 2:
-            yield from _fields(model.ItemThing)
+            yield from _fields(ItemThing)
             for each in thing.attributes:
                 yield Item(each.name.text, "property", f"value of {path[1]}", "", f"{each.name.text}: ")
         return

@@ -122,7 +122,7 @@ def is_file(text: str) -> bool:
     return any(sign in text for sign in "./:")
 
 
-def find_goal(thing: forms.FlowThing | forms.PaintedThing) -> tuple[str, forms.Point | str] | None:
+def find_goal(thing: forms.FlowThing | forms.PaintedThing) -> tuple[str, forms.Target] | None:
     """Return the key and the value of a flow's target."""
     key = next((key for key in _GOALS if hasattr(thing, key)), None)
     return None if key is None else (key, getattr(thing, key))

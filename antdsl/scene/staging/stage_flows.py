@@ -54,7 +54,7 @@ def stage_flow(staging: Staging, name: str, thing: model.FlowThing | model.Paint
     return stage_of.SpreadFlow(direction, target, mm(thing.radius), thing.falloff, thing.strength, mm(thing.cell), on, gather)  # type: ignore[arg-type]
 
 
-def _stage_target(staging: Staging, name: str, key: str, goal: model.Point | str) -> Target | None:
+def _stage_target(staging: Staging, name: str, key: str, goal: model.Target) -> Target | None:
     scene, items = staging.scene, staging.items
     if not isinstance(goal, str):
         return Target(np.array([model.millimetres(goal, scene.model.unit_mm)]), np.zeros(1))
