@@ -61,7 +61,7 @@ class PlacedThing(ThingModel):
 
 
 class ScaledThing(PlacedThing):
-    """A placed form that has a size of its own. `weld`: vertices nearer to each other than this are merged."""
+    """A placed form with a scale. `weld`: vertices nearer to each other than this are merged."""
 
     scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
     voxel: PositiveLength | None = None

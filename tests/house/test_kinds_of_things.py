@@ -17,7 +17,7 @@ MOST = {"surface": 6, "obstacle": 7, "solid": 3, "curve": 5, "flow": 6, "map": 3
 
 
 def files_by_word() -> dict[str, set[str]]:
-    """The files that name a kind, as a text of its own or as a member of `Kind`."""
+    """The files that name a kind, as a text or as a member of `Kind`."""
     named: dict[str, set[str]] = {word: set() for word in MOST}
     for path in PACKAGE.rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

@@ -135,6 +135,7 @@ _ROWS = (
 )
 KINDS_OF_THINGS: dict[str, KindOfThing] = {row.word: row for row in _ROWS}
 WITH_FACES = tuple(row.word for row in _ROWS if row.has_faces)
+BLOCKING = tuple(row.word for row in _ROWS if row.blocks)
 
 
 def replacements(kind: str) -> tuple[str, ...]:

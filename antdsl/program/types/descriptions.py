@@ -24,7 +24,7 @@ _KINDS: dict[Kind, str] = {
 }
 # Things that are named and are no value: an expression must read something of them.
 _THINGS = frozenset(Kind(word) for word in KINDS_OF_THINGS) - {Kind(each.args[0].type) for each in find_words("value")}
-PLACES = {Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.PLACE, *(Kind(row.word) for row in KINDS_OF_THINGS.values() if row.nearest)}
+PLACE_KINDS = {Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.PLACE, *(Kind(row.word) for row in KINDS_OF_THINGS.values() if row.nearest)}
 _FLOW = Kind("flow")
 _VECTORS: dict[Dim, str] = {Dim(): "a push or direction", Dim(length=1): "a position", Dim(length=1, time=-1): "a velocity"}
 
@@ -154,7 +154,7 @@ def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
             short = f"({short})"
         return f"compare it with something: `{short} > {with_unit(0.5 if actual.dim == Dim() else 1, actual.dim)}`"
     if expected.kind is Kind.VECTOR and expected.dim == Dim():
-        if actual.kind in PLACES:
+        if actual.kind in PLACE_KINDS:
             return f"`direction({short})` is the push toward it"
         if actual.kind is Kind.NUMBER:
             return (
