@@ -45,41 +45,26 @@ class ThingModel(Part):
         return next(iter(cls.__annotations__))
 
 
-class PlacedThing(ThingModel):
-    """A form with faces, curves or points that are moved into the scene, and how they look."""
-
-    at: Point | None = None
-    rotate: tuple[Angle, Angle, Angle] | None = None
-    keys: Keys = {}
-    look: Look | None = None
-
-    @property
-    def angles(self) -> tuple[float, float, float]:
-        """Return the rotation about x, then y, then z, in radians."""
-        x, y, z = (angle.number for angle in self.rotate) if self.rotate else (0.0, 0.0, 0.0)
-        return x, y, z
-
-
-class ScaledThing(PlacedThing):
-    """A placed form with a scale. `weld`: vertices nearer to each other than this are merged."""
-
-    scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
-    voxel: PositiveLength | None = None
-    weld: PositiveLength | None = None
-
-
-class MeshThing(ScaledThing):
+class MeshThing(ThingModel):
     """A mesh file (`####` in its name: one per frame), transformed into the scene. It is scaled, its `up` becomes the scene's, it
     is rotated about x, then y, then z, and moved to `at`.
 
-    `group`: only the faces of that group or object of an .obj file, or only what is at and below that node of glTF."""
+    `group`: only the faces of that group or object of an .obj file, or only what is at and below that node of glTF. `weld`:
+    vertices nearer to each other than this are merged."""
 
     names_file = True
 
     mesh: FilePath
     group: Word | None = None
+    keys: Keys = {}
     units: Unit | None = None
     up: Axis | None = None
+    at: Point | None = None
+    rotate: tuple[Angle, Angle, Angle] | None = None
+    scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
+    voxel: PositiveLength | None = None
+    weld: PositiveLength | None = None
+    look: Look | None = None
 
     @property
     def own_units(self) -> str | None:
@@ -92,7 +77,7 @@ class MeshThing(ScaledThing):
         return self.up or ("y" if self.own_units else None)
 
 
-class HeightThing(PlacedThing):
+class HeightThing(ThingModel):
     """A surface of heights: a 16-bit grey image (.png, .tif), or an array of an .npz file (`array`, if it has several; `layer`,
     if it has three dimensions). `extent`: its size along x and the other level axis, centred at its own origin. A sample of 1 is
     `scale` high, and all are raised by `offset`."""
@@ -105,6 +90,10 @@ class HeightThing(PlacedThing):
     offset: Length | None = None
     array: Name | None = None
     layer: Annotated[int, BeforeValidator(integer(0, 100_000))] | None = None
+    at: Point | None = None
+    rotate: tuple[Angle, Angle, Angle] | None = None
+    keys: Keys = {}
+    look: Look | None = None
 
 
 class UsdEach(Part):
@@ -116,7 +105,7 @@ class UsdEach(Part):
     radius: PositiveLength | None = None
 
 
-class UsdThing(ScaledThing):
+class UsdThing(ThingModel):
     """Contents at and below a prim of a USD file: meshes, one curve, or points. Units, axes, positions and time are the file's;
     `scale`, `rotate`, `at` and `keys` are applied after them. Items may be all empties of a `kind` below the prim. The prim
     defaults to the whole file, `kind` to the items' own name. `turn`: attributes that receive the direction they face."""
@@ -128,12 +117,23 @@ class UsdThing(ScaledThing):
     kind: Word | None = None
     turn: Name | tuple[Name, Name, Name] | None = None
     purpose: Purpose = "render"
+    at: Point | None = None
+    rotate: tuple[Angle, Angle, Angle] | None = None
+    scale: Annotated[float, BeforeValidator(number(-1e6, 1e6))] = 1.0
+    voxel: PositiveLength | None = None
+    weld: PositiveLength | None = None
+    keys: Keys = {}
+    look: Look | None = None
     each: UsdEach = UsdEach()
 
     @property
     def path(self) -> str:
         """Return the path of the prim; the whole file if none is named."""
         return "/" if self.prim is None else self.prim
+
+
+ScaledThing = MeshThing | UsdThing
+PlacedThing = ScaledThing | HeightThing
 
 
 class CurveThing(ThingModel):
@@ -241,6 +241,12 @@ class ItemThing(Part):
     radius: PositiveLength | None = None
     keys: Keys = {}
     look: Look | None = None
+
+
+def angles(thing: PlacedThing) -> tuple[float, float, float]:
+    """The rotation of a thing about x, then y, then z, in radians."""
+    x, y, z = (angle.number for angle in thing.rotate) if thing.rotate else (0.0, 0.0, 0.0)
+    return x, y, z
 
 
 def millimetres(point: Point | None, unit_mm: float) -> tuple[float, float, float]:

@@ -74,7 +74,7 @@ output: {checkpoint: 50}
 """
 # Read by the validators of MeshThing, CurveThing and ItemThing, from files whose reading takes seconds.
 ELSEWHERE = {("UsdThing", name) for name in ("at", "rotate", "scale", "voxel", "weld")} | {
-    ("UsdEach", "radius"), ("MeshThing", "voxel"), ("ScaledThing", "voxel"), ("StartFrom", "frame"), ("HeightThing", "layer"),
+    ("UsdEach", "radius"), ("MeshThing", "voxel"), ("StartFrom", "frame"), ("HeightThing", "layer"),
 }  # fmt: skip
 NUMBER = re.compile(r"(?<![\w.#])-?\d+(?:\.\d+)?(?![\w.]*\.(?:ply|png|npz|json|ant))")
 

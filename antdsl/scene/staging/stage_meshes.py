@@ -15,7 +15,7 @@ from antdsl.scene.paths import PathRefused
 from antdsl.scene.staging.mesh_imports import close_solid, report_losses, weld_thing
 from antdsl.scene.staging.size_checks import refuse_if_many
 from antdsl.scene.staging.stage_things import place_moves, read_moving_mesh, stage_usd_mesh
-from antdsl.scene.thing_models import UNIT_MM, HeightThing, MeshThing, UsdThing, millimetres
+from antdsl.scene.thing_models import UNIT_MM, HeightThing, MeshThing, UsdThing, angles, millimetres
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
@@ -44,7 +44,7 @@ def stage_mesh(staging: Staging, name: str, value: MeshThing | HeightThing | Usd
     raw, inner = geometry
     span = scene.span("world", name, key)
     try:
-        mesh = placed(raw, factor=factor, own_up=own_up, up=up, angles=value.angles, at=millimetres(value.at, unit_mm))
+        mesh = placed(raw, factor=factor, own_up=own_up, up=up, angles=angles(value), at=millimetres(value.at, unit_mm))
         moving = place_moves(staging, value, raw, inner, factor, own_up)
         if moving is not None:
             rest, moves = moving

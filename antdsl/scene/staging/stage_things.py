@@ -21,7 +21,17 @@ from antdsl.scene.model import UsdCamera
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.moves import MeshMoves
-from antdsl.scene.thing_models import UNIT_MM, CurveThing, ItemThing, MeshThing, PaintedThing, PlacedThing, UsdThing, millimetres
+from antdsl.scene.thing_models import (
+    UNIT_MM,
+    CurveThing,
+    ItemThing,
+    MeshThing,
+    PaintedThing,
+    PlacedThing,
+    UsdThing,
+    angles,
+    millimetres,
+)
 from antdsl.scene.values import PlaceKey, Point
 
 if TYPE_CHECKING:
@@ -180,7 +190,7 @@ def first_rotation(staging: Staging, value: PlacedThing) -> tuple[float, float, 
     if placed is not None:
         x, y, z = placed[1][0].tolist()
         return x, y, z
-    return value.angles
+    return angles(value)
 
 
 def limit_length(vectors: Floats) -> Floats:
@@ -253,7 +263,7 @@ def stage_curve(staging: Staging, name: str, value: CurveThing | UsdThing) -> Fl
     transforms = _key_transforms(staging, value, factor, own_up)
     if transforms is None:
         at = np.array(millimetres(value.at, model.unit_mm))
-        turn = value.angles if isinstance(value, UsdThing) else (0.0, 0.0, 0.0)
+        turn = angles(value) if isinstance(value, UsdThing) else (0.0, 0.0, 0.0)
         return np.stack([rotate_points(rotate_up(line * factor, own_up, model.up), turn) + at for line in positions])
     return _apply_by_frame(transforms, positions)
 
