@@ -5,6 +5,8 @@ from __future__ import annotations
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
+from antdsl.program.tables.things import KINDS_OF_THINGS
+
 
 class Dim(NamedTuple):
     """Exponents of length (mm), time (s), mass (g) and angle (rad). May be fractions after `sqrt`."""
@@ -16,6 +18,9 @@ class Dim(NamedTuple):
 
 
 class Kind(Enum):
+    """The kinds of things of the world are members too."""
+
+    _ignore_ = "word row"
     NUMBER = "number"
     VECTOR = "vector"  # a push is a vector without dimension
     BOOL = "bool"
@@ -28,11 +33,9 @@ class Kind(Enum):
     SET = "set"  # `of` names the items or species, or "hit"
     FIELD = "field"
     OBSTACLE = "obstacle"
-    SURFACE = "surface"
-    SOLID = "solid"
-    CURVE = "curve"
-    FLOW = "flow"
-    MAP = "map"
+    for word, row in KINDS_OF_THINGS.items():
+        if not row.has_values and word != OBSTACLE:
+            vars()[word.upper()] = word
     SPECIES = "species"
     ITEMS = "items"
     RANGE = "range"

@@ -241,18 +241,12 @@ def _allowed_keys(path: tuple[Key, ...]) -> list[str]:
 
     # the last word of the path (tags of the schema are among them) that tells which model complained
     models: dict[str, type[model.Part]] = {
-        **dict(model.THING_MODELS.values()),
+        **{model.thing_tag(head): each for head, each in model.THING_MODELS.items()},
         "usd-camera": model.UsdCamera,
         "keys": model.PlaceKey,
-        "place": model.Placement,
-        "crowd": model.CrowdLine,
         "wear": AnyOf,
-        "walk": model.Walk,
         "fields": model.FieldStart,
-        "camera": model.Camera,
-        "lod": model.LevelOfDetail,
-        "output": model.Output,
-        "from": model.StartFrom,
+        **model.PARTS,
     }
     for part in reversed(path[:-1]):
         if part in models:

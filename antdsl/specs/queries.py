@@ -187,7 +187,7 @@ def _overlap(world: World, population: Population) -> Floats:
 def _penetration(world: World, population: Population) -> Floats:
     """Return how deep each agent's middle is inside an obstacle that is a closed mesh, or inside a solid; 0 outside of all."""
     depth = np.zeros(len(population))
-    for name in world.plan.of_kind("obstacle"):
+    for name in world.plan.obstacles:
         scene = world.obstacles.get(name)
         if isinstance(scene, RayScene):
             depth = np.maximum(depth, scene.depth_inside(population.position))

@@ -64,9 +64,9 @@ def scenes() -> list[bytes]:
 
 
 def scene_words() -> tuple[Mutator, ...]:
-    from antdsl.scene.model import MODELS
+    from antdsl.scene.kinds import KINDS
 
-    fields = [name for model in MODELS.values() for each in model for name in getattr(each, "model_fields", ())]
+    fields = [name for kind in KINDS.values() for each in kind.models for name in getattr(each, "model_fields", ())]
     values = (
         "ground.ply",
         "ground.obj",

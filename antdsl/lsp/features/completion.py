@@ -23,7 +23,7 @@ from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.expectations import MOTION
 from antdsl.program.tables.colours import COLOURS
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import WITH_FACES, replacements
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, TYPE_WORDS
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIXED_SETTINGS, FORMS, LINE_WORDS, UNIT_NAMES
@@ -226,7 +226,7 @@ def _item_or_animal(request: Request) -> Iterator[Item]:
 def _names_of_kind(kind: str) -> Callable[[Request], Iterator[Item]]:
     """Return the function that proposes names for a statement, by the kind in its row."""
     others = {"field": fields, "event": _events, "species": species}
-    return others.get(kind) or make_thing_rule(*KINDS_OF_THINGS[kind].serves)
+    return others.get(kind) or make_thing_rule(*replacements(kind))
 
 
 _PROPOSALS: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
@@ -234,7 +234,7 @@ _PROPOSALS: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
     (r"^start[ \t]+$", _states),
     (r"^from any except ([a-z_0-9]+, *)*$", _states),
     (r"(\b|\.)(state|previous|next)[ \t]*[!=]=[ \t]*$", _comparison_values),
-    (r"^field[ \t]+[a-z_0-9]+[ \t]+on[ \t]+([a-z_0-9]+,[ \t]*)*$", make_thing_rule("surface", "solid", "obstacle")),
+    (r"^field[ \t]+[a-z_0-9]+[ \t]+on[ \t]+([a-z_0-9]+,[ \t]*)*$", make_thing_rule(*WITH_FACES)),
     (r"^on[ \t]+$", _event_or_field),
     (r"^each[ \t]+$", species),
     *((rf"^{row.op}[ \t]+$", _names_of_kind(row.target)) for row in EFFECTS.values() if row.target),

@@ -25,7 +25,6 @@ from antdsl.source import Span
 
 _TRUTHS = ("share", "count", "any", "every")
 _OF_ITEMS = "items have a position, a radius and their own values"
-_KINDS = {model.Kind.SPECIES: "species", model.Kind.ITEMS: "items", model.Kind.FIELD: "field", model.Kind.SOLID: "solid"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,7 +201,7 @@ class _SpecLowering:
 
     def _lower_new_aggregate(self, e: expectations.Aggregate) -> Node:
         name, of = f"whole#{len(self.wholes) + 1}", e.over.of or ""
-        kind = _KINDS[e.over.kind]
+        kind = e.over.kind.value
         where = body = amount = None
         if kind in ("species", "items") or e.body is not None:
             w = (

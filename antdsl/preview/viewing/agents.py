@@ -147,7 +147,7 @@ def feeler_arrays(world: World, program: Program, species: str, agent: int) -> d
     start = lines[:, 0].astype(np.float32)
     nearest = np.full(len(lines), np.inf, np.float32)
     (x, y, z), (dx, dy, dz) = start.T, unit.T
-    for name in world.plan.of_kind("obstacle", "solid"):
+    for name in (*world.plan.obstacles, *world.solids):
         hits = world.obstacles[name].cast_feelers(x, y, z, dx, dy, dz, reach.astype(np.float32))
         nearest = np.minimum(nearest, np.where(hits.hit, hits.t, np.inf))
     hit = np.isfinite(nearest)

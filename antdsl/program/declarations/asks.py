@@ -10,7 +10,7 @@ from antdsl.program.names.scope import BAD, Scope, bad_expression, did_you_mean,
 from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.effects import EFFECTS, Effect
 from antdsl.program.tables.rows import Arg
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import replacements
 from antdsl.program.tables.units import default_unit, measure
 from antdsl.program.typed import Expr
 from antdsl.program.types.arguments import Slot, arrange_arguments, type_arguments
@@ -174,8 +174,8 @@ def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
             known, otherwise = list(declared.species), ""
             kind, code, message = "species", "unknown-species", f"no species `{text}`"
         case word:
-            serves = KINDS_OF_THINGS[word].serves
-            known, otherwise = [t.name for t in declared.things.values() if t.kind in serves], f"world {{ {word} {text} }}"
+            kinds = replacements(word)
+            known, otherwise = [t.name for t in declared.things.values() if t.kind in kinds], f"world {{ {word} {text} }}"
             kind, code, message = "thing", "unknown-name", f"no {word} `{text}` to {row.op}"
     if text in known:
         scope.mark_used(kind, text)

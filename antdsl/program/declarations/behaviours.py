@@ -393,7 +393,7 @@ def _argument_value(scope: Scope, called: str, argument: nodes.BehaviourArgument
         return value(scope, node)
     if type.kind in THINGS:
         expr = scope.type_expression(node, type)
-        if is_compatible(expr.type, type) or (type.kind is Kind.OBSTACLE and expr.type.kind in (Kind.SURFACE, Kind.SOLID)):
+        if is_compatible(expr.type, type):
             return expr
         report_mismatch(scope.report, node, expr.type, type, who)
         return bad_expression(node.span)

@@ -64,7 +64,7 @@ def _declare_thing(declared: Declared, names: FileNames, item: nodes.WorldItem) 
     if known is not None and (known.kind != kind or known.span.source.path == item.span.source.path):
         report_duplicate(report, kind, item.name, known.span)
         return
-    if kind not in ("items", "species") and item.attributes:
+    if not KINDS_OF_THINGS[kind].has_values and item.attributes:
         report.error(
             "wrong-kind",
             f"{kind} `{name}` has no values",
@@ -205,12 +205,12 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
 
 def _is_ground(declared: Declared, name: nodes.Name) -> bool:
     thing = declared.things.get(name.text)
-    if thing is not None and thing.kind in ("surface", "solid", "obstacle"):
+    if thing is not None and KINDS_OF_THINGS[thing.kind].has_faces:
         declared.used.add(("thing", name.text))
         return True
     if thing is None and name.text in declared.unclear:
         return False
-    grounds = [t.name for t in declared.things.values() if t.kind in ("surface", "solid")]
+    grounds = [t.name for t in declared.things.values() if KINDS_OF_THINGS[t.kind].is_ground]
     if thing is None:
         declared.report.error(
             "unknown-name",

@@ -21,6 +21,7 @@ from antdsl.program.names.scope import (
     type_from_words,
 )
 from antdsl.program.tables.set_senses import GIVES_SET
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, SENSED_NAMES
 from antdsl.program.traverse import written_nodes
 from antdsl.program.types import calls, expressions, operators
@@ -229,11 +230,11 @@ class SpecRules:
             scope.mark_used("field", bare)
             scope.bind(operand.owner.span if isinstance(operand, nodes.Member) else operand.span, "field", bare)
             return Aggregate(NUMBER, Rate.STEP, node.span, how, Type(Kind.FIELD, of=bare), (), None, None)
-        solid = scope.declared.things.get(bare)
-        if solid is not None and solid.kind == "solid" and name == "total":
+        thing = scope.declared.things.get(bare)
+        if thing is not None and KINDS_OF_THINGS[thing.kind].is_dug and name == "total":
             scope.mark_used("thing", bare)
             scope.bind(operand.span, "thing", bare)
-            return Aggregate(_VOLUME, Rate.STEP, node.span, how, Type(Kind.SOLID, of=bare), (), None, None)
+            return Aggregate(_VOLUME, Rate.STEP, node.span, how, Type(Kind(thing.kind), of=bare), (), None, None)
         over = Type(Kind.FIELD, of=field) if field else _subject(scope, node, operand)
         if over is None:
             return bad_expression(node.span)

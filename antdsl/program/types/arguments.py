@@ -11,12 +11,11 @@ from antdsl.diagnostics import Fix, Label
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
 from antdsl.program.names.scope import Scope, bad_expression, list_names
-from antdsl.program.types.descriptions import quote_source, report_mismatch
+from antdsl.program.types.descriptions import PLACE_KINDS, quote_source, report_mismatch
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number
 
-PLACE_KINDS = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.CURVE, Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.PLACE})
 Called = nodes.Call | nodes.Ask
 ArgumentsBySlot = dict[str, list[nodes.Argument]]
 
@@ -242,10 +241,10 @@ def _is_valid_count(slots: Sequence[Slot], forms: Sequence[_ArgumentForm] | None
 def place(scope: Scope, node: nodes.Expr, who: str) -> Expr:
     """An expression as a place."""
     expr = scope.type_expression(node, Type(Kind.PLACE))
-    if expr.type.kind in PLACE_KINDS or expr.type.kind is Kind.BAD or expr.type == Type(Kind.VECTOR, Dim(length=1)):
-        return expr
     if expr.type.kind in (Kind.ITEMS, Kind.SPECIES):
         return nearest_of(expr, node.span)
+    if expr.type.kind in PLACE_KINDS or expr.type.kind is Kind.BAD or expr.type == Type(Kind.VECTOR, Dim(length=1)):
+        return expr
     report_mismatch(scope.report, node, expr.type, Type(Kind.PLACE), who)
     return bad_expression(node.span)
 

@@ -12,6 +12,7 @@ from antdsl.program.names.scope import BAD, NUMBER, Scope, bad_expression, did_y
 from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.other_words import call_replacement
 from antdsl.program.tables.rows import Arg, Builtin
+from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.units import combine_dimensions, scale_dimension
 from antdsl.program.tables.vocabulary import (
     BUILTIN_ATTRIBUTES,
@@ -32,6 +33,8 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 Variables = dict[str, tuple[nodes.Expr, Expr]]
+# Kinds of things that are a value where they are named.
+_VALUES = {Kind(each.args[0].type): (type_from_words(each.result) or BAD).kind for each in find_words("value")}
 
 
 def _use_line(file: nodes.File, library: str) -> Fix | None:
@@ -161,9 +164,8 @@ def _matching_row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> 
         return fitting[0], node
     expr = scope.type_expression(first.value)
     kind = expr.type.kind
-    if len(node.arguments) > 1 and not named and kind is Kind.FIELD:
-        kind = Kind.NUMBER  # `max(trail, 0.5)`: the greater of two numbers; cells are meant with `nearest:`
-    kind = {Kind.MAP: Kind.NUMBER, Kind.FLOW: Kind.VECTOR}.get(kind, kind)
+    if kind is not Kind.FIELD or (len(node.arguments) > 1 and not named):
+        kind = _VALUES.get(kind, kind)  # `max(trail, 0.5)`: the greater of two numbers; cells are meant with `nearest:`
     known = nodes.Argument(first.name, cast(nodes.Expr, TypedArgument(expr, first.value.span)), first.span)
     node = nodes.Call(node.function, (known, *node.arguments[1:]), node.span)
     return next((row for row in fitting if Kind(row.args[0].type.split()[0]) is kind), fitting[0]), node
@@ -213,8 +215,6 @@ def _argument(
         return [_bind_variable(scope, called, node, expr, variable, variables, dims_only=True)]
     type = type_from_words(word) or BAD
     expr = scope.type_expression(node, type) if type.kind in THINGS else value(scope, node, type)
-    if type.kind is Kind.OBSTACLE and expr.type.kind in (Kind.SURFACE, Kind.SOLID):
-        return [expr]
     if not is_compatible(expr.type, type):
         report_mismatch(scope.report, node, expr.type, type, who, expr)
         return [bad_expression(node.span)]

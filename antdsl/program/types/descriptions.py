@@ -7,7 +7,7 @@ import re
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report
 from antdsl.program.model import Dim, Expr, Kind, Op, Type
 from antdsl.program.tables.senses import find_words
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KINDS_OF_THINGS, replacements
 from antdsl.program.tables.units import dimension_words, with_article, with_unit
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -24,6 +24,8 @@ _KINDS: dict[Kind, str] = {
 }
 # Things that are named and are no value: an expression must read something of them.
 _THINGS = frozenset(Kind(word) for word in KINDS_OF_THINGS) - {Kind(each.args[0].type) for each in find_words("value")}
+PLACE_KINDS = {Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.PLACE, *(Kind(row.word) for row in KINDS_OF_THINGS.values() if row.nearest)}
+_FLOW = Kind("flow")
 _VECTORS: dict[Dim, str] = {Dim(): "a push or direction", Dim(length=1): "a position", Dim(length=1, time=-1): "a velocity"}
 
 
@@ -54,7 +56,7 @@ def is_compatible(actual: Type, expected: Type) -> bool:
     if Kind.BAD in (actual.kind, expected.kind):
         return True
     if actual.kind is not expected.kind:
-        return False
+        return actual.kind.value in replacements(expected.kind.value)
     if actual.kind in (Kind.NUMBER, Kind.VECTOR) and actual.dim != expected.dim:
         return False
     return actual.of is None or expected.of is None or actual.of == expected.of
@@ -104,7 +106,7 @@ def _mismatch(node: nodes.Expr, actual: Type, expected: Type, place: str) -> Dia
     advice = _advice(node, actual, expected)
     message = f"{text} is {type_words(actual)}, and {place} wants {want}"
     fix = _vector_units_fix(node) if expected.kind is Kind.PLACE and actual == Type(Kind.VECTOR) else None
-    if fix is None and expected.kind is not Kind.FLOW and not (expected.kind is Kind.BOOL and actual.kind in _THINGS):
+    if fix is None and expected.kind is not _FLOW and not (expected.kind is Kind.BOOL and actual.kind in _THINGS):
         fix = _own_text_fix(node, advice)
     return Diagnostic("wrong-kind", message, node.span, help=advice, fix=fix)
 
@@ -152,7 +154,7 @@ def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
             short = f"({short})"
         return f"compare it with something: `{short} > {with_unit(0.5 if actual.dim == Dim() else 1, actual.dim)}`"
     if expected.kind is Kind.VECTOR and expected.dim == Dim():
-        if actual.kind in (Kind.ITEM, Kind.AGENT, Kind.ITEMS, Kind.SPECIES, Kind.PLACE, Kind.CURVE):
+        if actual.kind in PLACE_KINDS:
             return f"`direction({short})` is the push toward it"
         if actual.kind is Kind.NUMBER:
             return (
@@ -164,7 +166,7 @@ def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
         return f"`length({short})` is a number"
     if expected.kind is Kind.NUMBER and actual.kind in (Kind.ITEM, Kind.AGENT, Kind.PLACE):
         return f"`distance({short})` is a length; `{short}.size` and the like are its values"
-    if expected.kind is Kind.FLOW:
+    if expected.kind is _FLOW:
         if actual.kind is Kind.VECTOR:
             return f"`toward({short})` takes any direction; here the name of a flow is needed"
         return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"

@@ -10,7 +10,7 @@ from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.traverse import bindings_in
 from antdsl.program.types.arguments import Slot, arrange_arguments, element_type, nearest_of, type_arguments
-from antdsl.program.types.descriptions import quote_source, report_mismatch, type_words
+from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, count, value, value_of_type
 from antdsl.syntax import nodes
@@ -158,7 +158,7 @@ def feelers(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     if arguments_by_slot is None:
         return bad_expression(node.span)
     target = scope.type_expression(arguments_by_slot["on"][0].value)
-    if target.type.kind not in (Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.BAD):
+    if not is_compatible(target.type, Type(Kind.OBSTACLE)):
         report_mismatch(scope.report, arguments_by_slot["on"][0].value, target.type, Type(Kind.OBSTACLE), f"`on` of `{name}`")
         return bad_expression(node.span)
     how_many = (

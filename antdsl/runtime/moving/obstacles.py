@@ -63,7 +63,7 @@ def _measure_drift(population: Population, rows: NDArray[np.intp]) -> tuple[Vect
 
 def _obstacle_names(world: World) -> list[str]:
     """Obstacles that there are."""
-    return [name for name in world.plan.of_kind("obstacle") if name in world.obstacles]
+    return [name for name in world.plan.obstacles if name in world.obstacles]
 
 
 def obstacle_mesh(world: World, name: str) -> RayScene:
