@@ -137,10 +137,8 @@ class CaseFinder:
                 return file
             if (folder / DEFAULT_SCENE).is_file():
                 return own.parent / DEFAULT_SCENE
-            self.report.error(
-                "no-scene", f"the spec `{spec.name}` does not say on which scene it runs, and there is no `{DEFAULT_SCENE}` here",
-                _first_line(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`',
-            )  # fmt: skip
+            message = f"the spec `{spec.name}` does not say on which scene it runs, and there is no `{DEFAULT_SCENE}` here"
+            self.report.error("no-scene", message, _first_line(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`')
             return None
         return self._named_scene(own, spec.scene)
 

@@ -33,12 +33,8 @@ def check_film_support() -> Report:
 
         imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError, OSError):
-        report.error(
-            "missing-extra",
-            "a film needs the extra `[video]`, which is not installed",
-            None,
-            help='run `pip install "antdsl[video]"`, or render stills with `--sheet`',
-        )
+        message = "a film needs the extra `[video]`, which is not installed"
+        report.error("missing-extra", message, None, help='run `pip install "antdsl[video]"`, or render stills with `--sheet`')
     return report
 
 

@@ -20,26 +20,16 @@ def check_events(checked: CheckContext, report: Report) -> None:
         others = [name for name in declared.events if name != event]
         near = nearest_name(event, others)
         if raised and not noticed:
-            report.warning(
-                "unheard-event",
-                f"no agent notices the event `{event}`",
-                span,
-                f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or ask for it: `when {event} -> …`",
-            )
+            advice = f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or ask for it: `when {event} -> …`"
+            report.warning("unheard-event", f"no agent notices the event `{event}`", span, advice)
         elif noticed and not raised:
-            report.warning(
-                "silent-event",
-                f"no agent raises the event `{event}`",
-                span,
-                f"did you mean `{near}`?" if near else f"write `emit {event}(within: 20 mm)` where it happens",
-            )
+            advice = f"did you mean `{near}`?" if near else f"write `emit {event}(within: 20 mm)` where it happens"
+            report.warning("silent-event", f"no agent raises the event `{event}`", span, advice)
 
 
 def _report_unheard(checked: CheckContext, event: str, span: Span, report: Report) -> None:
     """Report species of which agents receive an event that they do not notice."""
     for name in checked.declared.species:
         if checked.is_used("told", f"{event} {name}") and not checked.is_used("heard", f"{event} {name}"):
-            report.warning(
-                "unheard-event", f"a `{name}` receives the event `{event}`, but does not handle it", span,
-                f"write `on {event} {{ … }}` in `species {name}`, or test for it there: `when {event} -> …`",
-            )  # fmt: skip
+            advice = f"write `on {event} {{ … }}` in `species {name}`, or test for it there: `when {event} -> …`"
+            report.warning("unheard-event", f"a `{name}` receives the event `{event}`, but does not handle it", span, advice)

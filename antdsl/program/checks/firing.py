@@ -25,19 +25,11 @@ def _check_change(reader: ConditionReader, change: Transition, report: Report) -
     if test is None or _is_truth_word(test):
         return
     if is_never(reader, test):
-        report.warning(
-            "never-fires",
-            f"{quote_source(test.span)} can never hold",
-            test.span,
-            "change one of its numbers, or delete the change",
-        )
+        message = f"{quote_source(test.span)} can never hold"
+        report.warning("never-fires", message, test.span, "change one of its numbers, or delete the change")
     elif is_always(reader, test):
-        report.warning(
-            "always-fires",
-            f"{quote_source(test.span)} always holds",
-            test.span,
-            "change one of its numbers, or write `when true` if that is meant",
-        )
+        message = f"{quote_source(test.span)} always holds"
+        report.warning("always-fires", message, test.span, "change one of its numbers, or write `when true` if that is meant")
 
 
 def _check_clip_waits(species: Species, machine: Machine, state: State, report: Report) -> None:
@@ -51,12 +43,9 @@ def _check_clip_waits(species: Species, machine: Machine, state: State, report: 
             continue
         for part in _conjuncts(test):
             if isinstance(part, ClipTest) and part.machine == machine.name:
-                report.warning(
-                    "never-fires",
-                    f"{quote_source(part.span)} never holds in `{state.name}`, which plays no clip",
-                    part.span,
-                    f"write `play {'walk' if not part.mark else 'dig'}` or another clip as a line of `{state.name}`",
-                )
+                message = f"{quote_source(part.span)} never holds in `{state.name}`, which plays no clip"
+                advice = f"write `play {'walk' if not part.mark else 'dig'}` or another clip as a line of `{state.name}`"
+                report.warning("never-fires", message, part.span, advice)
 
 
 def _conjuncts(test: Expr) -> list[Expr]:

@@ -17,10 +17,8 @@ def check_idle_layers(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
         for layer in species.layers.layers:
             if layer.condition is not None and not isinstance(layer.condition, Const) and is_never(reader, layer.condition):
-                report.warning(
-                    "idle-layer", f"{quote_source(layer.condition.span)} can never hold", layer.condition.span,
-                    "change one of its numbers, or delete the line",
-                )  # fmt: skip
+                message = f"{quote_source(layer.condition.span)} can never hold"
+                report.warning("idle-layer", message, layer.condition.span, "change one of its numbers, or delete the line")
         _check_priorities(reader, species, report)
 
 

@@ -14,11 +14,7 @@ def check_layering(checked: CheckContext, report: Report) -> None:
         states = [layer for layer in species.layers.layers if layer.push is None]
         if steering is not None and not states:
             verb = "steers" if isinstance(steering, Steer) else "faces a way"
-            report.error(
-                "state-not-in-layers",
-                f"`{species.name}` {verb} in its states, and `layers` has no line for that",
-                species.layers.span,
-                "write `state` in a line of `layers`",
-            )
+            message = f"`{species.name}` {verb} in its states, and `layers` has no line for that"
+            report.error("state-not-in-layers", message, species.layers.span, "write `state` in a line of `layers`")
         for extra in states[1:]:
             report.error("duplicate-name", "`state` appears twice in `layers`", extra.span, "leave one of them out")

@@ -24,12 +24,8 @@ def check_unused_memory(checked: CheckContext, report: Report) -> None:
     read, laid = (frozenset().union(*names) for names in zip(*named, strict=True)) if named else (frozenset(), frozenset())
     for field in checked.program.fields.values():
         if field.name in laid and field.name not in read and not checked.is_used("smelled", field.name):
-            report.warning(
-                "unread-field",
-                f"field `{field.name}` is laid and never smelled",
-                field.span,
-                f"let agents follow it: `steer climb({field.name})`, or delete it",
-            )
+            advice = f"let agents follow it: `steer climb({field.name})`, or delete it"
+            report.warning("unread-field", f"field `{field.name}` is laid and never smelled", field.span, advice)
 
 
 def _field_users(program: Program) -> Iterator[object]:
@@ -61,9 +57,5 @@ def _check_attribute(checked: CheckContext, species: Species, attribute: Attribu
         )
     elif read and not written and attribute.relax_to is None and isinstance(attribute.default, (Const, NoneRef)):
         value = quote_source(attribute.default.span)
-        report.warning(
-            "constant-attribute",
-            f"attribute `{attribute.name}` is always {value}",
-            attribute.span,
-            f"set it where it changes: `{attribute.name} = …`, or make it a `param` if all agents share it",
-        )
+        advice = f"set it where it changes: `{attribute.name} = …`, or make it a `param` if all agents share it"
+        report.warning("constant-attribute", f"attribute `{attribute.name}` is always {value}", attribute.span, advice)

@@ -16,10 +16,8 @@ def check_reachability(checked: CheckContext, report: Report) -> None:
                 if state.index not in reached:
                     _report_unreachable(machine, state, report)
                 elif len(machine.states) > 1 and _is_stuck(state):
-                    report.warning(
-                        "trap", f"nothing leads out of state `{state.name}`", state.span,
-                        f"write `when … -> {machine.states[machine.start].name}` in it, or `die` if the animal leaves",
-                    )  # fmt: skip
+                    advice = f"write `when … -> {machine.states[machine.start].name}` in it, or `die` if the animal leaves"
+                    report.warning("trap", f"nothing leads out of state `{state.name}`", state.span, advice)
 
 
 def _reachable_states(machine: Machine) -> set[int]:
@@ -38,12 +36,8 @@ def _reachable_states(machine: Machine) -> set[int]:
 
 def _report_unreachable(machine: Machine, state: State, report: Report) -> None:
     start = machine.states[machine.start].name
-    report.warning(
-        "unreachable-state",
-        f"no change leads to state `{state.name}`",
-        state.span,
-        f"write `when … -> {state.name}` in state `{start}` or another, or delete it",
-    )
+    advice = f"write `when … -> {state.name}` in state `{start}` or another, or delete it"
+    report.warning("unreachable-state", f"no change leads to state `{state.name}`", state.span, advice)
 
 
 def _is_stuck(state: State) -> bool:

@@ -29,11 +29,8 @@ def check_shadowed(checked: CheckContext, report: Report) -> None:
 def _report_shadowed(reader: ConditionReader, change: Transition, first: Transition, report: Report) -> None:
     certain = first.delay is None and first.held is None and is_always(reader, first.condition)
     label = "this one always happens" if certain else "this one happens whenever the other could"
-    report.warning(
-        "shadowed-change", "this change is never looked at", change.span,
-        f"move it above the one that {'always happens' if certain else 'comes first'}",
-        labels=(Label(first.span, label),),
-    )  # fmt: skip
+    advice = f"move it above the one that {'always happens' if certain else 'comes first'}"
+    report.warning("shadowed-change", "this change is never looked at", change.span, advice, labels=(Label(first.span, label),))
 
 
 def _is_hiding(reader: ConditionReader, first: Transition, change: Transition) -> bool:

@@ -13,12 +13,8 @@ def check_unused(checked: CheckContext, report: Report) -> None:
         _check_species(checked, species, report)
     for field in checked.program.fields.values():
         if not checked.is_used("field", field.name):
-            report.warning(
-                "unused-field",
-                f"field `{field.name}` is never laid and never smelled",
-                field.span,
-                f"write `deposit {field.name} 1 /s` in a state, or delete it",
-            )
+            message = f"field `{field.name}` is never laid and never smelled"
+            report.warning("unused-field", message, field.span, f"write `deposit {field.name} 1 /s` in a state, or delete it")
     _check_behaviours(checked, report)
 
 
@@ -26,12 +22,8 @@ def _check_species(checked: CheckContext, species: Species, report: Report) -> N
     for param in species.params:
         if not checked.is_used("param", param.name):
             short = param.name.partition(".")[2]
-            report.warning(
-                "unused-param",
-                f"param `{short}` is never used",
-                param.span,
-                f"write `{short}` where its value belongs, or delete it",
-            )
+            message = f"param `{short}` is never used"
+            report.warning("unused-param", message, param.span, f"write `{short}` where its value belongs, or delete it")
     for attribute in species.attributes:
         name = f"{species.name}.{attribute.name}"
         if not attribute.is_builtin and not checked.is_used("attribute", name) and name not in checked.declared.written:
@@ -54,9 +46,5 @@ def _check_behaviours(checked: CheckContext, report: Report) -> None:
         for info in file.own.values():
             name = info.node.name
             if not checked.is_used("behaviour", f"{name.span}"):
-                report.warning(
-                    "unused-behaviour",
-                    f"behaviour `{name.text}` is never called",
-                    name.span,
-                    f"call it: `steer {name.text}(…)`, or delete it",
-                )
+                message = f"behaviour `{name.text}` is never called"
+                report.warning("unused-behaviour", message, name.span, f"call it: `steer {name.text}(…)`, or delete it")

@@ -41,10 +41,8 @@ def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
     if not _is_declared(scope, row, line.name) or written is None or _reports_missing(scope, row, line, written, form):
         return None
     if row.too_often and block.body:
-        scope.report.error(
-            "not-a-rate", f"`{form}` here {row.too_often}", line.span,
-            f"do it once: `enter {{ {row.op} … }}`, or in a change: `when chance 10 %/s -> … {{ {row.op} … }}`",
-        )  # fmt: skip
+        advice = f"do it once: `enter {{ {row.op} … }}`, or in a change: `when chance 10 %/s -> … {{ {row.op} … }}`"
+        scope.report.error("not-a-rate", f"`{form}` here {row.too_often}", line.span, advice)
         return None
     for arg, arg_value in zip(row.numbers, args, strict=True):
         if arg_value is not None:
@@ -102,19 +100,15 @@ def _recipient(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> 
         return expr
     text = " ".join(node.span.text.split())
     if expr.type.kind is Kind.SPECIES:
-        scope.report.error(
-            "wrong-kind", f"`{text}` is a whole species, but `{row.op} … to` needs one agent", node.span,
-            f"name one: `to nearest({text})`",
-        )  # fmt: skip
+        message = f"`{text}` is a whole species, but `{row.op} … to` needs one agent"
+        scope.report.error("wrong-kind", message, node.span, f"name one: `to nearest({text})`")
         return bad_expression(node.span)
     if expr.type.kind is not Kind.AGENT:
         report_mismatch(scope.report, node, expr.type, Type(Kind.AGENT), f"`{row.op} … to`")
         return bad_expression(node.span)
     if expr.type.of is None:
-        scope.report.error(
-            "wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span,
-            "name the species where you search for the agent, such as `nearest(neighbours(20 mm, of: rabbit))`",
-        )  # fmt: skip
+        advice = "name the species where you search for the agent, such as `nearest(neighbours(20 mm, of: rabbit))`"
+        scope.report.error("wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span, advice)
         return bad_expression(node.span)
     if line.name is not None:
         scope.mark_used("told", f"{line.name.text} {expr.type.of}")
@@ -162,10 +156,8 @@ def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
     match row.target:
         case "event":
             if text in EVENTS:
-                scope.report.error(
-                    "wrong-argument", f"`{text}` is a computed event, so no agent can `{row.op}` it", name.span,
-                    f"give the event another name, such as `{row.op} bump`",
-                )  # fmt: skip
+                words = f"`{text}` is a computed event, so no agent can `{row.op}` it"
+                scope.report.error("wrong-argument", words, name.span, f"give the event another name, such as `{row.op} bump`")
             return text not in EVENTS
         case "field":
             known, otherwise = list(declared.fields), f"field {text} on … {{ cell 4 mm; half_life 8 s }}"

@@ -43,12 +43,8 @@ def param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
     names.params[name] = BAD
     for extra, word in ((node.relax, "relax"), (node.each, "for each")):
         if extra is not None:
-            scope.report.error(
-                "wrong-kind",
-                f"a param has one value for all agents, so it cannot have `{word}`",
-                extra.span,
-                f"leave `param` out to make `{name}` an attribute",
-            )
+            message = f"a param has one value for all agents, so it cannot have `{word}`"
+            scope.report.error("wrong-kind", message, extra.span, f"leave `param` out to make `{name}` an attribute")
     default = _constant(scope, node.value, f"param `{name}`")
     if default is None:
         return None
@@ -72,12 +68,8 @@ def _constant(scope: Scope, node: nodes.Expr, who: str) -> Const | None:
     expr = value(scope, node)
     constant = constant_behind(expr)
     if constant is None and expr.type.kind is not Kind.BAD:
-        scope.report.error(
-            "wrong-rate",
-            f"{quote_source(node.span)} is not a plain number, which {who} starts with",
-            node.span,
-            "write a number with its unit, such as `40 mm`",
-        )
+        message = f"{quote_source(node.span)} is not a plain number, which {who} starts with"
+        scope.report.error("wrong-rate", message, node.span, "write a number with its unit, such as `40 mm`")
     return constant
 
 
@@ -255,11 +247,9 @@ def _check_order(scope: Scope, node: nodes.Declaration, three: list[_ParamNumber
         )  # fmt: skip
         return
     better = _text_within_limits(three)
-    scope.report.error(
-        "out-of-range", f"{quote_source(value.node.span)} lies outside of {quote_source(node.range.span)}", value.node.span,
-        f"did you mean `{better}`?" if better else "start inside the range, or widen it",
-        fix=Fix(value.node.span, better) if better else None,
-    )  # fmt: skip
+    message = f"{quote_source(value.node.span)} lies outside of {quote_source(node.range.span)}"
+    advice = f"did you mean `{better}`?" if better else "start inside the range, or widen it"
+    scope.report.error("out-of-range", message, value.node.span, advice, fix=Fix(value.node.span, better) if better else None)
 
 
 def _limit_text(end: _ParamNumber, low: _ParamNumber) -> str:

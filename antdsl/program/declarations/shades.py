@@ -53,18 +53,12 @@ def _degree(scope: Scope, node: nodes.Expr) -> Expr:
         return truth(scope, node, expr, "a rule")
     if not is_compatible(expr.type, NUMBER):
         text = " ".join(node.span.text.split())
-        scope.report.error(
-            "wrong-unit", f"{quote_source(node.span)} is {type_words(expr.type)}, and a rule wants a share from 0 to 1",
-            node.span,
-            f"say where it begins and where it is full: `rising({text if len(text) <= 30 else '…'}, a .. b)`",
-        )  # fmt: skip
+        message = f"{quote_source(node.span)} is {type_words(expr.type)}, and a rule wants a share from 0 to 1"
+        advice = f"say where it begins and where it is full: `rising({text if len(text) <= 30 else '…'}, a .. b)`"
+        scope.report.error("wrong-unit", message, node.span, advice)
         return bad_expression(node.span)
     known = constant_behind(expr)
     if known is not None and not 0 <= known.number <= 1:
-        scope.report.error(
-            "out-of-range",
-            f"{quote_source(node.span)} is not a degree of truth",
-            node.span,
-            "write a degree from 0 to 1, such as `0.5`",
-        )
+        message = f"{quote_source(node.span)} is not a degree of truth"
+        scope.report.error("out-of-range", message, node.span, "write a degree from 0 to 1, such as `0.5`")
     return expr

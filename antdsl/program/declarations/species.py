@@ -156,33 +156,21 @@ def _with_relaxation(scope: Scope, attribute: model.AttributeDecl, node: nodes.D
     to = over = None
     if node.relax is not None:
         if attribute.type.kind not in (Kind.NUMBER, Kind.VECTOR, Kind.BAD):
-            scope.report.error(
-                "wrong-kind",
-                f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax",
-                node.relax.span,
-                "only numbers and vectors can change gradually",
-            )
+            message = f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax"
+            scope.report.error("wrong-kind", message, node.relax.span, "only numbers and vectors can change gradually")
         to = value_of_type(scope, node.relax.to, attribute.type, "`relax to`")
         over = value_of_type(scope, node.relax.over, TIME, "`over`")
     each, strongest = None, 0
     if node.each is not None:
         type = reference_type(scope, node.each.species)
         if type is not None and type.kind is not Kind.AGENT:
-            scope.report.error(
-                "wrong-kind",
-                f"`{node.each.species.text}` is not a species",
-                node.each.species.span,
-                "`for each` stores values about other agents",
-            )
+            message = f"`{node.each.species.text}` is not a species"
+            scope.report.error("wrong-kind", message, node.each.species.span, "`for each` stores values about other agents")
         each = node.each.species.text
         check_pair_value(scope, attribute, to)
         if node.each.strongest is None:
-            scope.report.error(
-                "missing-bound",
-                f"`{attribute.name}` does not say for how many others it is stored",
-                node.each.span,
-                f"write `for each {each}, strongest 8`",
-            )
+            message = f"`{attribute.name}` does not say for how many others it is stored"
+            scope.report.error("missing-bound", message, node.each.span, f"write `for each {each}, strongest 8`")
         else:
             count = constant_behind(value_of_type(scope, node.each.strongest, Type(Kind.NUMBER), "`strongest`"))
             strongest = int(count.number) if count is not None else 0
@@ -320,13 +308,9 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
     assert names is not None
     written = [m for m in node.members if isinstance(m, nodes.Layers)]
     for extra in written[1:]:
-        scope.report.error(
-            "duplicate-name",
-            "a second `layers`",
-            extra.span,
-            "merge them into one",
-            labels=(Label(written[0].span, "first here"),),
-        )
+        message = "a second `layers`"
+        advice = "merge them into one"
+        scope.report.error("duplicate-name", message, extra.span, advice, labels=(Label(written[0].span, "first here"),))
     if not written:
         return model.Layers("budget", (model.Layer(None, None, "state", node.name.span, "state"),), node.name.span)
     block = written[0]
@@ -340,12 +324,8 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
             did_you_mean(mode, ("sum", "first"), "write `layers`, `layers sum` or `layers first`"),
         )
     if len(block.layers) > limits.LAYERS:
-        scope.report.error(
-            "too-many",
-            f"more than {limits.LAYERS} layers",
-            block.layers[limits.LAYERS].span,
-            "combine some of them in a behaviour",
-        )
+        message = f"more than {limits.LAYERS} layers"
+        scope.report.error("too-many", message, block.layers[limits.LAYERS].span, "combine some of them in a behaviour")
     scope = scope.with_changes(keys=StableKeys(f"{names.name}.layers"))
     counts: dict[str, int] = {}
     return model.Layers(mode, tuple(_layer(scope, each, counts) for each in block.layers), block.span)

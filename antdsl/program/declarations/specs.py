@@ -66,12 +66,8 @@ def check_spec(
     for line in spec.lines:
         _line(work, line)
     if not any((line.condition is not None and line.kind not in _HOW) or line.kind == "each" for line in spec.lines):
-        declared.report.warning(
-            "empty-spec",
-            f"the spec {quote_source(spec.name.span)} expects nothing",
-            spec.name.span,
-            "write `always: …` or `within 20 s: …`",
-        )
+        message = f"the spec {quote_source(spec.name.span)} expects nothing"
+        declared.report.warning("empty-spec", message, spec.name.span, "write `always: …` or `within 20 s: …`")
     return Spec(
         spec.name.text, spec.scene, work.duration, tuple(dict.fromkeys(work.seeds)), tuple(work.changes),
         tuple(work.expectations), spec.span, 1.0 if work.share is None else work.share, work.against,
@@ -165,12 +161,8 @@ def _read_seeds(work: _SpecCheck, line: nodes.SpecLine) -> None:
     if high < low:
         work.declared.report.error("empty-range", "the seeds end before they begin", node.span, "write the lower one first")
     elif high - low >= MOST_SEEDS:
-        work.declared.report.error(
-            "too-many",
-            f"more than {MOST_SEEDS:,} seeds",
-            node.span,
-            "a spec that holds for ten seeds will probably hold for a thousand",
-        )
+        advice = "a spec that holds for ten seeds will probably hold for a thousand"
+        work.declared.report.error("too-many", f"more than {MOST_SEEDS:,} seeds", node.span, advice)
     else:
         work.seeds += range(low, high + 1)
 
@@ -230,12 +222,8 @@ def _check_range(work: _SpecCheck, node: nodes.Expr, param: Param, expr: Expr) -
         alike = constant is not None and bound is not None and (bound.u, bound.step) == (constant.u, constant.step)
         if constant is not None and bound is not None and alike and sign * (constant.number - bound.number) < 0:
             low, high = (end.span.text if end is not None else "" for end in (param.low, param.high))
-            work.declared.report.error(
-                "out-of-range",
-                f"`{param.name}` = {constant.span.text} is outside {low} .. {high}",
-                node.span,
-                "write a value inside the range",
-            )
+            message = f"`{param.name}` = {constant.span.text} is outside {low} .. {high}"
+            work.declared.report.error("out-of-range", message, node.span, "write a value inside the range")
 
 
 # --- what is expected ------------------------------------------------------------------------------------------------
@@ -302,21 +290,13 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
     report, text = work.declared.report, quote_source(expr.span)
     if species is None and expr.rate > Rate.STEP:
         names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
-        report.error(
-            "wrong-rate",
-            f"{text} differs from agent to agent, but no agent is named",
-            expr.span,
-            f"write it in `each {names[0]} {{ … }}`, or use the `share`, `mean`, `min` or `max` of all",
-        )
+        advice = f"write it in `each {names[0]} {{ … }}`, or use the `share`, `mean`, `min` or `max` of all"
+        report.error("wrong-rate", f"{text} differs from agent to agent, but no agent is named", expr.span, advice)
         return False
     held = line.held is not None or line.since is not None
     if at_end and (species is not None or held or line.kind not in ("always", "never", "finally")):
-        report.error(
-            "wrong-argument",
-            "`motion` is measured over the whole run and known only at its end",
-            expr.span,
-            "limit it in a line of the spec itself: `always: motion.circling < 5 %`",
-        )
+        advice = "limit it in a line of the spec itself: `always: motion.circling < 5 %`"
+        report.error("wrong-argument", "`motion` is measured over the whole run and known only at its end", expr.span, advice)
         return False
     draw = next((p for p in parts(expr) if isinstance(p, Op) and p.name in DRAWS), None)
     if draw is not None:

@@ -87,12 +87,8 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         name, type = own
     else:
         value(scope, line.value)
-        scope.report.error(
-            "not-own",
-            f"{quote_source(target.span)} belongs to another; an agent sets only its own values",
-            target.span,
-            "raise an event with `emit`, and let the other set it in `on`",
-        )
+        message = f"{quote_source(target.span)} belongs to another; an agent sets only its own values"
+        scope.report.error("not-own", message, target.span, "raise an event with `emit`, and let the other set it in `on`")
         return None
     scope.declared.written.add(f"{species.name}.{name}")
     if line.op != "=":
@@ -100,12 +96,8 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
             value(scope, line.value)
             return None
         if type.kind not in (Kind.NUMBER, Kind.VECTOR):
-            scope.report.error(
-                "wrong-kind",
-                f"`{name}` is {type_words(type)}, but you can add only to numbers and vectors",
-                line.span,
-                f"set it: `{name} = …`",
-            )
+            message = f"`{name}` is {type_words(type)}, but you can add only to numbers and vectors"
+            scope.report.error("wrong-kind", message, line.span, f"set it: `{name} = …`")
             return None
         change = amount_or_rate(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
         return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of, over, element)
@@ -139,19 +131,11 @@ def _assigned_attribute(scope: Scope, name: nodes.Name, block: Block, line: node
             return None
         return text, type_from_words(builtin.type) or Type(Kind.BAD)
     if text in species.params:
-        report.error(
-            "not-settable",
-            f"`{text}` is a param, which has one value for all agents",
-            name.span,
-            f"make it an attribute: `{text} = …` without `param`",
-        )
+        message = f"`{text}` is a param, which has one value for all agents"
+        report.error("not-settable", message, name.span, f"make it an attribute: `{text} = …` without `param`")
     elif text in species.bindings:
-        report.error(
-            "not-settable",
-            f"`{text}` is a `let` or `latch`, which follows from other values",
-            name.span,
-            "set what it follows from, or make it an attribute",
-        )
+        message = f"`{text}` is a `let` or `latch`, which follows from other values"
+        report.error("not-settable", message, name.span, "set what it follows from, or make it an attribute")
     elif builtin is not None or text in ("state", "previous", "next", "time_in_state"):
         advice = (
             "a transition changes it: `when … -> …`"
@@ -165,11 +149,9 @@ def _assigned_attribute(scope: Scope, name: nodes.Name, block: Block, line: node
         known = [a for a in species.attributes if a not in species.each] + [
             n for n, g in BUILTIN_ATTRIBUTES.items() if g.settable
         ]
+        message = f"`{species.name}` has no attribute `{text}`"
         report.error(
-            "unknown-name",
-            f"`{species.name}` has no attribute `{text}`",
-            name.span,
-            did_you_mean(text, known, f"declare it: `{text} = …` in `species {species.name}`"),
+            "unknown-name", message, name.span, did_you_mean(text, known, f"declare it: `{text} = …` in `species {species.name}`")
         )
     return None
 
@@ -213,12 +195,8 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
         return None
     if line.attribute is None and isinstance(line.amount, nodes.NameRef) and amount is not None:
         name, what = line.amount.name.text, " ".join(line.source.span.text.split())
-        scope.report.error(
-            "missing-argument",
-            f"`take {name}` does not state an amount",
-            line.amount.span,
-            f"write `take 1 {name} from {what}`, or `take all {name} from {what}`",
-        )
+        advice = f"write `take 1 {name} from {what}`, or `take all {name} from {what}`"
+        scope.report.error("missing-argument", f"`take {name}` does not state an amount", line.amount.span, advice)
         return None
     if source.type.kind is Kind.FIELD:
         if (
@@ -229,12 +207,9 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
             return None
     elif line.attribute is None:
         if source.type.kind is not Kind.BAD:
-            scope.report.error(
-                "missing-argument",
-                f"`take` does not say what is taken from {quote_source(line.source.span)}",
-                line.span,
-                f"name the attribute: `take 1 load from {' '.join(line.source.span.text.split())}`",
-            )
+            message = f"`take` does not say what is taken from {quote_source(line.source.span)}"
+            advice = f"name the attribute: `take 1 load from {' '.join(line.source.span.text.split())}`"
+            scope.report.error("missing-argument", message, line.span, advice)
         return None
     elif own is None or not _has_attribute(scope, line.source, source, line.attribute, own):
         return None

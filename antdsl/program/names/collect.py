@@ -129,12 +129,8 @@ class Loader:
         if node is None:
             names.aliases[alias.text] = FileNames(names.node, missing=True)
             if not self.complained:
-                self.report.error(
-                    "unknown-module",
-                    f"no file `{path.text}` could be read",
-                    path.span,
-                    'write the path from this file\'s folder: `use "./mine.ant" as mine`',
-                )
+                advice = 'write the path from this file\'s folder: `use "./mine.ant" as mine`'
+                self.report.error("unknown-module", f"no file `{path.text}` could be read", path.span, advice)
         elif any(node is each for each in above):
             circle = " → ".join(f"`{each.source.path}`" for each in [*above[[id(e) for e in above].index(id(node)) :], node])
             self.report.error(
@@ -196,12 +192,8 @@ def check_free_in_species(report: Report, name: nodes.Name, value: Span) -> bool
             fix=Fix(name.span.to(value), f"{name.text} {text}"),
         )  # fmt: skip
     else:
-        report.error(
-            "reserved-name",
-            f"every agent has a `{name.text}` already: {builtin.help}",
-            name.span,
-            f"call it otherwise, such as `my_{name.text}`",
-        )
+        message = f"every agent has a `{name.text}` already: {builtin.help}"
+        report.error("reserved-name", message, name.span, f"call it otherwise, such as `my_{name.text}`")
     return False
 
 
@@ -230,12 +222,8 @@ def _declare_machine(report: Report, species: SpeciesNames, name: str, states: t
         machine_names.states[state.name.text] = len(machine_names.states)
         spans[state.name.text] = state.name.span
     if len(machine_names.states) > limits.STATES:
-        report.error(
-            "too-many",
-            f"machine `{name}` has more than {limits.STATES} states",
-            states[limits.STATES].name.span,
-            "split it into several machines",
-        )
+        message = f"machine `{name}` has more than {limits.STATES} states"
+        report.error("too-many", message, states[limits.STATES].name.span, "split it into several machines")
     species.machines[name] = machine_names
 
 

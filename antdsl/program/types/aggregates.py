@@ -63,12 +63,9 @@ class SpecRules:
             if self.other is not None:
                 return self.compared[name](scope, self.other, node.span)
             when = "was" if name == "at_start" else "is in the other run"
-            scope.report.error(
-                "at-start-alone",
-                f"`{name}` is what the other side of a comparison {when}, and there is none",
-                node.span,
-                f"write `total(food.load) == {name}`, or `{name}(total(food.load))`",
-            )
+            message = f"`{name}` is what the other side of a comparison {when}, and there is none"
+            advice = f"write `total(food.load) == {name}`, or `{name}(total(food.load))`"
+            scope.report.error("at-start-alone", message, node.span, advice)
             return bad_expression(node.span)
         species = scope.species
         if name in GEOMETRY and species is not None and name not in {*species.attributes, *species.params, *species.bindings}:
@@ -153,10 +150,8 @@ class SpecRules:
         scope.bind_value(node.name.span, type, name)
         who = "agent" if kind is Kind.SPECIES else "item"
         also = f", or test each agent: `each {owner} {{ always: {name} … }}`" if kind is Kind.SPECIES else ""
-        scope.report.error(
-            "wrong-rate", f"`{name}` is a value of one {who}, but `{owner}` is all of them", node.span,
-            f"use a value of all: `total({owner}.{name})`, `share({owner}.{name} …)`{also}",
-        )  # fmt: skip
+        advice = f"use a value of all: `total({owner}.{name})`, `share({owner}.{name} …)`{also}"
+        scope.report.error("wrong-rate", f"`{name}` is a value of one {who}, but `{owner}` is all of them", node.span, advice)
         return True
 
     def _motion(self, scope: Scope, node: nodes.Member) -> Expr:
@@ -264,10 +259,8 @@ class SpecRules:
     @staticmethod
     def _report_no_value(scope: Scope, node: nodes.Call, who: str) -> Expr:
         value = f"{who}.{'size' if who in scope.declared.species else 'radius'}"
-        scope.report.error(
-            "wrong-argument", f"{quote_source(node.span)} does not say which value of `{who}`", node.span,
-            f"name one, such as `{value}`, or write `count({who})` for how many there are",
-        )  # fmt: skip
+        advice = f"name one, such as `{value}`, or write `count({who})` for how many there are"
+        scope.report.error("wrong-argument", f"{quote_source(node.span)} does not say which value of `{who}`", node.span, advice)
         return bad_expression(node.span)
 
     @staticmethod
@@ -284,12 +277,9 @@ class SpecRules:
             return bad_expression(reduction.span)
         is_complete_set = over.source == "all" and all(arg is None for arg in over.args)
         if not is_complete_set or reduction.how in ("best", "nearest") or reduction.type.kind not in (Kind.NUMBER, Kind.BOOL):
-            scope.report.error(
-                "wrong-rate",
-                f"{quote_source(reduction.span)} needs an agent, but none is named",
-                reduction.span,
-                "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all",
-            )
+            message = f"{quote_source(reduction.span)} needs an agent, but none is named"
+            advice = "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all"
+            scope.report.error("wrong-rate", message, reduction.span, advice)
             return bad_expression(reduction.span)
         kind = Kind.ITEMS if over.element.type.kind is Kind.ITEM else Kind.SPECIES
         body = reduction.body if reduction.how != "count" or reduction.body is None or reduction.body.rate > Rate.CONST else None
@@ -345,12 +335,8 @@ def _subject(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Type | None
         return Type(kind, of=things[0])
     if len(things) > 1:
         parts = " and ".join(f"`{name}`" for name in things)
-        scope.report.error(
-            "wrong-argument",
-            f"{quote_source(node.span)} asks of {parts} at once",
-            node.span,
-            "use each one separately, and add the results",
-        )
+        message = f"{quote_source(node.span)} asks of {parts} at once"
+        scope.report.error("wrong-argument", message, node.span, "use each one separately, and add the results")
         return None
     if scope.species is not None:
         return Type(Kind.SPECIES, of=scope.species.name)

@@ -48,12 +48,8 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
     if isinstance(function, nodes.Member):
         return call_behaviour(scope, node, want)
     if not isinstance(function, nodes.NameRef):
-        scope.report.error(
-            "wrong-kind",
-            f"{quote_source(function.span)} cannot be called",
-            function.span,
-            "only behaviours and built-in words can be called",
-        )
+        message = f"{quote_source(function.span)} cannot be called"
+        scope.report.error("wrong-kind", message, function.span, "only behaviours and built-in words can be called")
         type_arguments(scope, node)
         return bad_expression(node.span)
     name = function.name.text
@@ -263,12 +259,8 @@ def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str,
     if not isinstance(node, nodes.RangeExpr):
         expr = scope.type_expression(node)
         if expr.type.kind is not Kind.BAD:
-            scope.report.error(
-                "wrong-kind",
-                f"{who} wants a range, and {quote_source(node.span)} is one value",
-                node.span,
-                "write two values with `..` between: `0 mm .. 5 mm`",
-            )
+            message = f"{who} wants a range, and {quote_source(node.span)} is one value"
+            scope.report.error("wrong-kind", message, node.span, "write two values with `..` between: `0 mm .. 5 mm`")
         return [bad_expression(node.span), bad_expression(node.span)]
     low, high = (value(scope, end) for end in (node.low, node.high))
     for end, expr in ((node.low, low), (node.high, high)):
@@ -340,12 +332,8 @@ def _check_first(scope: Scope, node: nodes.Call, operation: Op) -> None:
 
 def _check_pick(scope: Scope, node: nodes.Call, operation: Op) -> None:
     if operation.type.kind in THINGS or operation.type.kind is Kind.SET:
-        scope.report.error(
-            "wrong-kind",
-            f"`pick` cannot choose {type_words(operation.type)}",
-            node.span,
-            "choose between values; `random(rabbit)` is one agent of a species",
-        )
+        message = f"`pick` cannot choose {type_words(operation.type)}"
+        scope.report.error("wrong-kind", message, node.span, "choose between values; `random(rabbit)` is one agent of a species")
 
 
 def _check_clamp(scope: Scope, node: nodes.Call, operation: Op) -> None:

@@ -26,11 +26,9 @@ def machine_value(scope: Scope, machine: MachineNames, node: nodes.Member) -> Ex
     word = node.name.text
     if word in STATE_WORDS:
         return _machine_word(machine, None, word, node.span)
+    message = f"machine `{machine.name}` has no `{word}`"
     scope.report.error(
-        "unknown-name",
-        f"machine `{machine.name}` has no `{word}`",
-        node.name.span,
-        did_you_mean(word, STATE_WORDS, f"there is {list_names(STATE_WORDS)}"),
+        "unknown-name", message, node.name.span, did_you_mean(word, STATE_WORDS, f"there is {list_names(STATE_WORDS)}")
     )
     return bad_expression(node.span)
 
@@ -42,12 +40,8 @@ def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_spa
     if isinstance(owner, ThingRef) and owner.name == "self":
         owner = None
     if names is None or not names.machines:
-        scope.report.error(
-            "unknown-name",
-            f"no `{word}` is known here",
-            name_span or span,
-            "you can test states only of a species that is checked together with this one",
-        )
+        advice = "you can test states only of a species that is checked together with this one"
+        scope.report.error("unknown-name", f"no `{word}` is known here", name_span or span, advice)
         return bad_expression(span)
     machine = scope.machine if owner is None and scope.machine is not None else next(iter(names.machines.values()))
     return _machine_word(machine, owner, word, span)
@@ -100,10 +94,8 @@ def clip_test(scope: Scope, node: nodes.ClipTest, want: Type | None) -> Expr:
         )
         return bad_expression(node.span)
     if not node.at and node.name.text != "done":
-        scope.report.error(
-            "unknown-name", f"`clip {node.name.text}` is not a property of a clip", node.span,
-            f"write `clip done`, or for a mark `clip at {node.name.text}`",
-        )  # fmt: skip
+        message = f"`clip {node.name.text}` is not a property of a clip"
+        scope.report.error("unknown-name", message, node.span, f"write `clip done`, or for a mark `clip at {node.name.text}`")
         return bad_expression(node.span)
     machine = scope.machine or next(iter(names.machines.values()))
     return ClipTest(BOOL, Rate.AGENT, node.span, machine.name, node.name.text if node.at else "")
