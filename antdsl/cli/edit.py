@@ -21,11 +21,7 @@ def edit(
         help="Replace orientations by means over N frames, centred on each frame; positions stay unchanged.",
     ),
     out: Path = typer.Option(
-        None,
-        "--out",
-        metavar="DIR",
-        help="Folder of the new cache. [default: CACHE_edited beside the old one]",
-        show_default=False,
+        None, "--out", metavar="DIR", help="Folder of the new cache. [default: CACHE_edited beside the old one]"
     ),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print problems only."),

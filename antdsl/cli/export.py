@@ -58,45 +58,27 @@ def export(
         None,
         "--as",
         metavar="WORD",
-        show_default=False,
         help="USD: instances, xforms, meshes; .csv: keyframes, events; .npz: arrays, poses, volume, events; .ply: meshes, solids",
     ),
-    ids: str = typer.Option(
-        None, "--ids", metavar="3,8..12", help="Export only these agents. [default: all]", show_default=False
-    ),
-    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frames to export. [default: all]", show_default=False),
+    ids: str = typer.Option(None, "--ids", metavar="3,8..12", help="Export only these agents. [default: all]"),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frames to export. [default: all]"),
     skeletons: int = typer.Option(
         None,
         "--skeletons",
         metavar="N",
         min=0,
         max=100_000,
-        show_default=False,
         help="Of USD: up to N agents of a species have a skeleton each, more are instances of a bank of poses. [default: 200]",
     ),
     shutter: str = typer.Option(
-        None,
-        "--shutter",
-        metavar="A..B",
-        show_default=False,
-        help="USD: add samples around each frame, from A to B, for motion blur.",
+        None, "--shutter", metavar="A..B", help="USD: add samples around each frame, from A to B, for motion blur."
     ),
-    samples: int = typer.Option(
-        None, "--samples", metavar="N", min=2, max=33, show_default=False, help="Number of such samples. [default: 3]"
-    ),
+    samples: int = typer.Option(None, "--samples", metavar="N", min=2, max=33, help="Number of such samples. [default: 3]"),
     chunk: int = typer.Option(
-        None,
-        "--chunk",
-        metavar="N",
-        min=1,
-        max=100_000,
-        show_default=False,
-        help="Of USD: values of N frames to a file. [default: one]",
+        None, "--chunk", metavar="N", min=1, max=100_000, help="Of USD: values of N frames to a file. [default: one]"
     ),
-    copies: bool = typer.Option(
-        None, "--copies", show_default=False, help="Of USD: agents with skeletons are no instances, as Blender needs them."
-    ),
-    close: bool = typer.Option(None, "--close", show_default=False, help="USD: write bodies in close-up quality."),
+    copies: bool = typer.Option(None, "--copies", help="Of USD: agents with skeletons are no instances, as Blender needs them."),
+    close: bool = typer.Option(None, "--close", help="USD: write bodies in close-up quality."),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
     no_tls: bool = NO_TLS,

@@ -26,18 +26,10 @@ class Format(StrEnum):
 
 def graph(
     file: Path = typer.Argument(..., help="A program (.ant) or a scene (.yaml)."),
-    format: Format = typer.Option(
-        None, "--format", help="Format. [default: by the ending of --out, else svg]", show_default=False
-    ),
-    out: Path = typer.Option(
-        None, "--out", metavar="FILE", help="Output file; `-` prints it. [default: FILE.svg here]", show_default=False
-    ),
+    format: Format = typer.Option(None, "--format", help="Format. [default: by the ending of --out, else svg]"),
+    out: Path = typer.Option(None, "--out", metavar="FILE", help="Output file; `-` prints it. [default: FILE.svg here]"),
     only: list[str] = typer.Option(
-        [],
-        "--only",
-        metavar="NAME",
-        help="Only this species, or SPECIES.MACHINE. May be given several times.",
-        show_default=False,
+        [], "--only", metavar="NAME", help="Only this species, or SPECIES.MACHINE. May be given several times."
     ),
 ) -> None:
     """Draw the state machines of a program."""

@@ -51,9 +51,7 @@ class Legend(StrEnum):
 @report_failures("drawing stopped", "the same command with `--resume` draws the others")
 def render(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
-    frames: str = typer.Option(
-        None, "--frames", metavar="A..B", help="Which frames. [default: the last; all with --film]", show_default=False
-    ),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Which frames. [default: the last; all with --film]"),
     every: int = typer.Option(None, "--every", min=1, metavar="N", help="Draw only every Nth frame."),
     sheet: bool = typer.Option(False, "--sheet", help="One picture with several frames on it, and the last frame as a picture."),
     film: bool = typer.Option(False, "--film", help="Make an .mp4 film; needs the extra [video]."),
@@ -88,13 +86,12 @@ def render(
         max=1000.0,
         metavar="PIXELS",
         help="Draw shorter agents so long. [default: 7, up to three times their size]",
-        show_default=False,
     ),
     marks: float = typer.Option(
         0.0, "--marks", min=0.0, max=200.0, metavar="PIXELS", help="Draw agents as discs of this diameter."
     ),
     full: list[str] = typer.Option(
-        [], "--full", metavar="FIELD=VALUE", help="The strength at the end of a field's scale of colours.", show_default=False
+        [], "--full", metavar="FIELD=VALUE", help="The strength at the end of a field's scale of colours."
     ),
     legend: Legend = typer.Option(Legend.beside, "--legend", help="States and scales: in a strip beside it, or nowhere."),
     cut: str = typer.Option(
@@ -105,16 +102,13 @@ def render(
         "--shot",
         metavar="A..B",
         help="These are some of the frames of a film: the camera and the strip are those of the whole film, from A to B.",
-        show_default=False,
     ),
     resume: bool = typer.Option(False, "--resume", help="Draw only frames without a complete and current picture."),
     threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores that it may use."),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
     no_tls: bool = NO_TLS,
-    out: Path = typer.Option(
-        None, "--out", metavar="DIR", help="Where pictures go. [default: pictures in the cache]", show_default=False
-    ),
+    out: Path = typer.Option(None, "--out", metavar="DIR", help="Where pictures go. [default: pictures in the cache]"),
 ) -> None:
     """Draw frames of a cache."""
     from antdsl.cli.arguments import parse_frame_range

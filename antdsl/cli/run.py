@@ -54,7 +54,6 @@ def run(
         "--out",
         metavar="DIR",
         help="Folder of the cache; with several scenes, it has a folder for each. [default: out/SCENE beside the scene]",
-        show_default=False,
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     threads: int = typer.Option(

@@ -31,14 +31,9 @@ SCHEDULER: Any = typer.Option(
     "--scheduler",
     metavar="ADDRESS",
     help="Run on a Dask cluster: `local` starts one here, tls://HOST:8786 uses a running one; needs the extra [cluster].",
-    show_default=False,
 )
 TLS: Any = typer.Option(
-    None,
-    "--tls",
-    metavar="DIR",
-    help="For a running scheduler: the folder with ca.pem, cert.pem and key.pem.",
-    show_default=False,
+    None, "--tls", metavar="DIR", help="For a running scheduler: the folder with ca.pem, cert.pem and key.pem."
 )
 NO_TLS: Any = typer.Option(
     False,
