@@ -195,11 +195,8 @@ def _require_order(words: list[str]) -> None:
     own = words[: words.index("--")] if "--" in words else words
     if "--trust-usd" in own and not own[0].startswith("-"):
         rest = [word for word in words if word != "--trust-usd"]
-        raise CommandError(
-            ExitCode.USAGE,
-            "error: write `--trust-usd` before the command",
-            f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}",
-        )
+        message = "error: write `--trust-usd` before the command"
+        raise CommandError(ExitCode.USAGE, message, f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}")
 
 
 def _command() -> int:

@@ -237,11 +237,8 @@ def _choose_frames(gallery: Gallery, between: Any, every: int | None, sheet: boo
         cache_frames = cache_frames[::every]
         if not sheet or film or len(cache_frames) <= MOST:
             return cache_frames
-        raise CommandError(
-            ExitCode.USAGE,
-            f"error: {len(cache_frames)} pictures do not fit on a sheet",
-            f"use a larger `--every`, for at most {MOST} pictures",
-        )
+        words = f"error: {len(cache_frames)} pictures do not fit on a sheet"
+        raise CommandError(ExitCode.USAGE, words, f"use a larger `--every`, for at most {MOST} pictures")
     if sheet and not film:
         steps = min(SHEET, len(cache_frames))
         return sorted({cache_frames[round(k * (len(cache_frames) - 1) / max(steps - 1, 1))] for k in range(steps)})

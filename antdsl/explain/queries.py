@@ -64,11 +64,8 @@ def _require_frame(cache: Cache, frame: int) -> None:
     if not frames:
         raise ExplainError(f"`{cache.folder}` has no frames", "run the scene first")
     if frame == cache.manifest.first:
-        raise ExplainError(
-            f"frame {frame} is the first: no step of this cache led to it",
-            f"ask for a later one: `--frame {frame + 1}`",
-            usage=True,
-        )
+        words = f"frame {frame} is the first: no step of this cache led to it"
+        raise ExplainError(words, f"ask for a later one: `--frame {frame + 1}`", usage=True)
     if frame not in frames:
         raise ExplainError(f"no frame {frame}", f"`{cache.folder}` has {frames[0] + 1} to {frames[-1]} to explain", usage=True)
 
@@ -84,10 +81,8 @@ def _require_alive(
     if not any(s.first <= frame - 1 <= s.last for s in stretches):
         when = f"{species} {agent} exists from frame {alive[0]} to {alive[1]}"
         if frame <= alive[0]:
-            raise ExplainError(
-                f"{species} {agent} had not decided anything by frame {frame}", f"{when}: its first step leads to {alive[0] + 1}",
-                usage=True,
-            )  # fmt: skip
+            words = f"{species} {agent} had not decided anything by frame {frame}"
+            raise ExplainError(words, f"{when}: its first step leads to {alive[0] + 1}", usage=True)
         raise ExplainError(f"{species} {agent} is not there at frame {frame}", when, usage=True)
 
 
