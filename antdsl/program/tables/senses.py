@@ -370,11 +370,3 @@ def find_words(how: str) -> tuple[Builtin, ...]:
     """Return the words of senses with one syntax: by a `call`, by a bare `name`, or as the `value` of a thing."""
     every = (*(word for sense in _ROWS for word in sense.words), *WORDS)
     return tuple(word for word in every if word.form == how)
-
-
-def sense_of(op: str) -> Sense | None:
-    """Return the sense that an operation of the typed tree reads, or None if it is not one of its words."""
-    return _SENSES_BY_OP.get(op)
-
-
-_SENSES_BY_OP = {word.op: sense for sense in _ROWS for word in sense.words}
