@@ -15,22 +15,13 @@ from pygls.lsp.server import LanguageServer
 
 from antdsl import __version__
 from antdsl.lsp import protocol
-from antdsl.lsp.features import tokens
+from antdsl.lsp.features import navigation, tokens
 from antdsl.lsp.features.actions import actions
 from antdsl.lsp.features.completion import complete
 from antdsl.lsp.features.context import is_line_start
 from antdsl.lsp.features.describe import describe
 from antdsl.lsp.features.formatting import formatting_edits
 from antdsl.lsp.features.hints import hints
-from antdsl.lsp.features.navigation import (
-    NameLocation,
-    RenameRefused,
-    definition,
-    references,
-    renamable_name,
-    rename,
-    resolve_key,
-)
 from antdsl.lsp.features.outline import folds, symbols
 from antdsl.lsp.language import describe_keyword
 from antdsl.lsp.scene_help import complete_scene
@@ -66,7 +57,7 @@ class Server(LanguageServer):
     def document(self, uri: str) -> Document | None:
         return self.files.document(self.path(uri))
 
-    def location(self, target: NameLocation) -> lsp.Location:
+    def location(self, target: navigation.NameLocation) -> lsp.Location:
         path = target.document.path
         return lsp.Location(self.uris.get(path, uri_of(path)), protocol.range_of(target.range))
 
@@ -207,7 +198,7 @@ def _hover(ls: Server, params: lsp.HoverParams) -> lsp.Hover | None:
         said = {
             text: each.span
             for each in names
-            if (text := describe(ls.files, document, resolve_key(ls.files, document, each.key))) is not None
+            if (text := describe(ls.files, document, navigation.resolve_key(ls.files, document, each.key))) is not None
         }
         if not said:
             start, end = document.word_at(offset)
@@ -237,21 +228,25 @@ def _completion(ls: Server, params: lsp.CompletionParams) -> lsp.CompletionList 
 
 @server.feature(lsp.TEXT_DOCUMENT_DEFINITION)
 def _definition(ls: Server, params: lsp.DefinitionParams) -> list[lsp.Location] | None:
-    return _answer_at(ls, params, lambda document, offset: [ls.location(each) for each in definition(ls.files, document, offset)])
+    return _answer_at(
+        ls, params, lambda document, offset: [ls.location(each) for each in navigation.definition(ls.files, document, offset)]
+    )
 
 
 @server.feature(lsp.TEXT_DOCUMENT_REFERENCES)
 def _references(ls: Server, params: lsp.ReferenceParams) -> list[lsp.Location] | None:
     declaration = params.context.include_declaration
     return _answer_at(
-        ls, params, lambda document, offset: [ls.location(each) for each in references(ls.files, document, offset, declaration)]
+        ls,
+        params,
+        lambda document, offset: [ls.location(each) for each in navigation.references(ls.files, document, offset, declaration)],
     )
 
 
 @server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
 def _highlight(ls: Server, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
     def answer(document: Document, offset: int) -> list[lsp.DocumentHighlight]:
-        locations = references(ls.files, document, offset)
+        locations = navigation.references(ls.files, document, offset)
         return [lsp.DocumentHighlight(protocol.range_of(each.range)) for each in locations if each.document is document]
 
     return _answer_at(ls, params, answer)
@@ -261,8 +256,8 @@ def _highlight(ls: Server, params: lsp.DocumentHighlightParams) -> list[lsp.Docu
 def _prepare_rename(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | None:
     def answer(document: Document, offset: int) -> lsp.Range:
         try:
-            return protocol.range_of(document.range(renamable_name(ls.files, document, offset).span))
-        except RenameRefused as why:
+            return protocol.range_of(document.range(navigation.renamable_name(ls.files, document, offset).span))
+        except navigation.RenameRefused as why:
             raise JsonRpcInvalidParams(str(why)) from None
 
     return _answer_at(ls, params, answer)
@@ -272,8 +267,8 @@ def _prepare_rename(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | 
 def _rename(ls: Server, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
     def answer(document: Document, offset: int) -> lsp.WorkspaceEdit:
         try:
-            locations = rename(ls.files, document, offset, params.new_name)
-        except RenameRefused as why:
+            locations = navigation.rename(ls.files, document, offset, params.new_name)
+        except navigation.RenameRefused as why:
             raise JsonRpcInvalidParams(str(why)) from None
         edits: dict[Path, list[lsp.TextEdit]] = {}
         for each in locations:

@@ -14,16 +14,8 @@ from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.kinds import Kind, Type
 from antdsl.program.names.declared import declaration
 from antdsl.program.names.scope import type_from_words
+from antdsl.program.tables import vocabulary
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.vocabulary import (
-    BUILTIN_ATTRIBUTES,
-    BUILTINS,
-    HIT_ATTRIBUTES,
-    ITEM_ATTRIBUTES,
-    REDUCERS,
-    RUN_NAMES,
-    SENSED_NAMES,
-)
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.syntax import nodes
 from antdsl.syntax.verbs import VERBS
@@ -145,10 +137,10 @@ def members(request: Request) -> Iterator[Item]:
         thing = request.names.things.get(owner_name)
         for attribute in thing.attributes if thing is not None else ():
             yield Item(attribute.name.text, "property", f"value of {owner_name}", attribute.help.text if attribute.help else "")
-        for member_name, type in ITEM_ATTRIBUTES.items():
+        for member_name, type in vocabulary.ITEM_ATTRIBUTES.items():
             yield Item(member_name, "property", type)
     elif owner.kind is Kind.HIT:
-        for member_name, type in HIT_ATTRIBUTES.items():
+        for member_name, type in vocabulary.HIT_ATTRIBUTES.items():
             yield Item(member_name, "property", type)
     elif owner.kind in (Kind.AGENT, Kind.SPECIES):
         other = request.names.species.get(owner_name)
@@ -156,7 +148,7 @@ def members(request: Request) -> Iterator[Item]:
             node = declaration(member)
             yield Item(own, "property", f"of {owner_name}", node.help.text if node is not None and node.help is not None else "")
         if owner.kind is Kind.AGENT:
-            for member_name, row in BUILTIN_ATTRIBUTES.items():
+            for member_name, row in vocabulary.BUILTIN_ATTRIBUTES.items():
                 yield Item(member_name, "property", row.type, row.help)
 
 
@@ -173,7 +165,7 @@ def argument_names(request: Request) -> Iterator[Item]:
                 default = f" = {argument.default.span.text}" if argument.default is not None else ""
                 yield _argument_item(argument.name.text, argument.type.span.text + default)
         return
-    for row in BUILTINS.get(called, ()):
+    for row in vocabulary.BUILTINS.get(called, ()):
         for arg in row.args:
             if arg.name not in passed_names:
                 yield _argument_item(arg.name, arg.type + (f" = {arg.default}" if arg.default is not None else ""))
@@ -255,14 +247,14 @@ def values(request: Request) -> Iterator[Item]:
     yield from make_thing_rule()(request)
     yield from fields(request)
     yield from species(request)
-    for name, row in BUILTIN_ATTRIBUTES.items():
+    for name, row in vocabulary.BUILTIN_ATTRIBUTES.items():
         yield Item(name, "variable", row.type, row.help)
-    for name, type in (*RUN_NAMES.items(), *SENSED_NAMES.items()):
+    for name, type in (*vocabulary.RUN_NAMES.items(), *vocabulary.SENSED_NAMES.items()):
         yield Item(name, "variable", type, WORD_HELP.get(name, ""))
-    for name, rows in BUILTINS.items():
+    for name, rows in vocabulary.BUILTINS.items():
         cursor = "$0" if rows[0].args else ""
         yield Item(name, "function", builtin_form(name, rows[0]), rows[0].help, f"{name}({cursor})", True)
-    for name, help in REDUCERS.items():
+    for name, help in vocabulary.REDUCERS.items():
         yield Item(name, "function", f"{name}(n in SET: …)", help, f"{name}(${{1:n}} in ${{2:neighbours(20 mm)}}: $0)", True)
     for word in (
         "and",

@@ -9,19 +9,11 @@ from antdsl.diagnostics import Fix
 from antdsl.program.declarations.behaviours import call_behaviour
 from antdsl.program.model import Dim, Expr, Kind, Op, Rate, Type
 from antdsl.program.names.scope import BAD, NUMBER, Scope, bad_expression, did_you_mean, rate_of, type_from_words
+from antdsl.program.tables import vocabulary
 from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.other_words import call_replacement
 from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.tables.units import combine_dimensions, scale_dimension
-from antdsl.program.tables.vocabulary import (
-    BUILTIN_ATTRIBUTES,
-    BUILTINS,
-    OTHER_SENSES,
-    REDUCERS,
-    RESERVED,
-    RUN_NAMES,
-    SENSED_NAMES,
-)
 from antdsl.program.types.arguments import Slot, arrange_arguments, place, type_arguments
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words
 from antdsl.program.types.expressions import MAY_BE_NONE, THINGS, TypedArgument
@@ -54,12 +46,12 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
         return bad_expression(node.span)
     name = function.name.text
     if (
-        name in REDUCERS
+        name in vocabulary.REDUCERS
         and len(node.arguments) == 1
-        and (isinstance(node.arguments[0], nodes.Comprehension) or name not in BUILTINS)
+        and (isinstance(node.arguments[0], nodes.Comprehension) or name not in vocabulary.BUILTINS)
     ):
         return reduce(scope, node, name)
-    if name in BUILTINS:
+    if name in vocabulary.BUILTINS:
         return _builtin(scope, node, name, want)
     if scope.file.behaviour(name) is not None:
         return call_behaviour(scope, node, want)
@@ -69,11 +61,11 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
 
 
 def _report_unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None) -> None:
-    if name.text in RESERVED:
+    if name.text in vocabulary.RESERVED:
         words = f"`{name.text}` is a word of the language that does not work yet"
         scope.report.error("not-yet", words, name.span, "leave it out for now")
         return
-    if name.text in REDUCERS:
+    if name.text in vocabulary.REDUCERS:
         scope.report.error(
             "wrong-argument", f"`{name.text}` needs a set", node.span, f"write `{name.text}(n in neighbours(20 mm): …)`"
         )
@@ -86,15 +78,17 @@ def _report_unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type
             fix = _use_line(scope.file.node, home)
             scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice, fix=fix)
         return
-    known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
+    known = set(vocabulary.BUILTINS) | set(vocabulary.REDUCERS) | set(scope.file.own) | set(scope.file.library)
     instead, fix = call_replacement(node, name.text), None
-    if not node.arguments and name.text in (BUILTIN_ATTRIBUTES.keys() | RUN_NAMES.keys() | SENSED_NAMES.keys()):
+    if not node.arguments and name.text in (
+        vocabulary.BUILTIN_ATTRIBUTES.keys() | vocabulary.RUN_NAMES.keys() | vocabulary.SENSED_NAMES.keys()
+    ):
         advice, fix = f"`{name.text}` is a value: write it without brackets", Fix(node.span, name.text)
     elif instead is not None:
         text, is_exact = instead
         advice, fix = (f"write `{text}`", Fix(node.span, text)) if is_exact else (f"here that is `{text}`", None)
-    elif name.text in OTHER_SENSES:
-        advice = f"ask {OTHER_SENSES[name.text].replace('X', _first_argument_name(node))}"
+    elif name.text in vocabulary.OTHER_SENSES:
+        advice = f"ask {vocabulary.OTHER_SENSES[name.text].replace('X', _first_argument_name(node))}"
     else:
         advice = did_you_mean(name.text, known, _own_behaviour_text(node, name.text, want))
     scope.report.error("unknown-behaviour", f"no behaviour `{name.text}`", name.span, advice, fix=fix)
@@ -120,7 +114,7 @@ def _own_behaviour_text(node: nodes.Call, name: str, want: Type | None) -> str:
 
 
 def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Expr:
-    rows = BUILTINS[name]
+    rows = vocabulary.BUILTINS[name]
     if rows[0].op in SETS:
         return SETS[rows[0].op](scope, node, name, rows[0])
     row, node = (rows[0], node) if len(rows) == 1 else _matching_row(scope, node, rows)
