@@ -69,9 +69,8 @@ def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
             _demand_frames(part, count)
     except OSError as problem:
         why = (problem.strerror or "the encoder stopped").lower()
-        report.error(
-            "cannot-write", f"cannot write the film `{path.name}`: {why}", None, "name a folder that is there, with room"
-        )
+        message = f"cannot write the film `{path.name}`: {why}"
+        report.error("cannot-write", message, None, "name a folder that is there, with room")
     return report
 
 

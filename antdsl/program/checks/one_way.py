@@ -49,12 +49,8 @@ def _check_attribute(checked: CheckContext, species: Species, attribute: Attribu
     name = f"{species.name}.{attribute.name}"
     read, written = checked.is_used("attribute", name), name in checked.declared.written
     if written and not read:
-        report.warning(
-            "unread-attribute",
-            f"attribute `{attribute.name}` is set and never read",
-            attribute.span,
-            f"ask for it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it",
-        )
+        hint = f"ask for it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it"
+        report.warning("unread-attribute", f"attribute `{attribute.name}` is set and never read", attribute.span, hint)
     elif read and not written and attribute.relax_to is None and isinstance(attribute.default, (Const, NoneRef)):
         value = quote_source(attribute.default.span)
         advice = f"set it where it changes: `{attribute.name} = …`, or make it a `param` if all agents share it"

@@ -27,15 +27,13 @@ def _check_species(checked: CheckContext, species: Species, report: Report) -> N
     for attribute in species.attributes:
         name = f"{species.name}.{attribute.name}"
         if not attribute.is_builtin and not checked.is_used("attribute", name) and name not in checked.declared.written:
-            report.warning(
-                "unused-attribute", f"attribute `{attribute.name}` is never used", attribute.span, "use it, or delete it"
-            )
+            words = f"attribute `{attribute.name}` is never used"
+            report.warning("unused-attribute", words, attribute.span, "use it, or delete it")
     for binding in (*species.lets, *species.latches):
         if not checked.is_used("let", f"{species.name}.{binding.name}"):
             word = "fuzzy" if isinstance(binding.value, Op) and binding.value.name == "fuzzy" else binding.role
-            report.warning(
-                f"unused-{binding.role}", f"`{word} {binding.name}` is never used", binding.span, "use it, or delete it"
-            )
+            words = f"`{word} {binding.name}` is never used"
+            report.warning(f"unused-{binding.role}", words, binding.span, "use it, or delete it")
 
 
 def _check_behaviours(checked: CheckContext, report: Report) -> None:

@@ -161,7 +161,6 @@ def check_single_clip(scope: Scope, node: nodes.State) -> None:
     """Complain about a state that plays several clips."""
     lines = [line for line in node.body if isinstance(line, nodes.Ask) and line.verb == "play"]
     for line in lines[1:]:
-        scope.report.error(
-            "two-writers", f"`{node.name.text}` plays a clip already, and a state can play only one", line.span,
-            "play it in a separate machine, `machine arms { … }`", labels=(Label(lines[0].span, "first here"),),
-        )  # fmt: skip
+        message = f"`{node.name.text}` plays a clip already, and a state can play only one"
+        advice = "play it in a separate machine, `machine arms { … }`"
+        scope.report.error("two-writers", message, line.span, advice, labels=(Label(lines[0].span, "first here"),))

@@ -130,10 +130,9 @@ def _own_attribute(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str
     if type is not None:
         report_mismatch(scope.report, node, type, want, who)
     else:
-        scope.report.error(
-            "unknown-name", f"{who} names an attribute of `{species.name}`, and {quote_source(node.span)} is none",
-            node.span, f"declare it: `{name or arg.sample} = 0 {default_unit(want.dim)}` in `species {species.name}`",
-        )  # fmt: skip
+        message = f"{who} names an attribute of `{species.name}`, and {quote_source(node.span)} is none"
+        advice = f"declare it: `{name or arg.sample} = 0 {default_unit(want.dim)}` in `species {species.name}`"
+        scope.report.error("unknown-name", message, node.span, advice)
     return None
 
 

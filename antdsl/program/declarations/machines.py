@@ -254,9 +254,8 @@ def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[t
             choices.append((index, weight))
     weights = [constant_behind(weight) for _, weight in choices]
     if choices and all(w is not None and w.number == 0 for w in weights):
-        scope.report.error(
-            "out-of-range", "all weights of `choose` are 0", target.span, "give at least one state a weight above 0"
-        )
+        words = "all weights of `choose` are 0"
+        scope.report.error("out-of-range", words, target.span, "give at least one state a weight above 0")
     if target.name is None and not target.previous and not target.choices:
         advice = "write `choose { rest: 2; roam: 1 }` with states of this machine"
         scope.report.error("missing-target", "`choose` has nothing to choose from", target.span, advice)

@@ -174,9 +174,8 @@ def _report_missing_units(scope: Scope, three: Sequence[_ParamNumber], unit_numb
     for each in bare:
         text += span.source.text[copied_end : each.node.span.end] + f" {unit}"
         copied_end = each.node.span.end
-    scope.report.error(
-        "missing-unit", _missing_units_text(bare, unit_numbers), span, f"write `{' '.join(text.split())}`", fix=Fix(span, text)
-    )
+    advice = f"write `{' '.join(text.split())}`"
+    scope.report.error("missing-unit", _missing_units_text(bare, unit_numbers), span, advice, fix=Fix(span, text))
 
 
 def _missing_units_text(bare: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNumber]) -> str:

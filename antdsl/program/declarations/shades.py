@@ -18,9 +18,8 @@ def fuzzy_mean(scope: Scope, node: nodes.Fuzzy) -> Expr:
     15(1), 1985, section II). The outputs there are linear, and may be here, because any number can follow the arrow. The
     arguments of the operation are degree, output, degree, output, …"""
     if not node.rules:
-        scope.report.error(
-            "empty-fuzzy", f"`fuzzy {node.name.text}` has no rules", node.span, "write rules such as `near and fast -> 0.8`"
-        )
+        message = f"`fuzzy {node.name.text}` has no rules"
+        scope.report.error("empty-fuzzy", message, node.span, "write rules such as `near and fast -> 0.8`")
         return bad_expression(node.span)
     if len(node.rules) > limits.RULES:
         over = node.rules[limits.RULES].span

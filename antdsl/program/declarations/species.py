@@ -104,9 +104,8 @@ def _check_names(scope: Scope, node: nodes.Species) -> None:
             check_free_in_species(scope.report, each.name, value_span)
         spans_by_name.setdefault(each.name.text, each.name.span)
     if len(spans_by_name) > limits.ATTRIBUTES:
-        scope.report.error(
-            "too-many", f"species `{node.name.text}` declares more than {limits.ATTRIBUTES} names", node.name.span, "split it"
-        )
+        message = f"species `{node.name.text}` declares more than {limits.ATTRIBUTES} names"
+        scope.report.error("too-many", message, node.name.span, "split it")
 
 
 # --- the rest --------------------------------------------------------------------------------------------------------
@@ -227,9 +226,8 @@ def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
     if "main" in names.machines and any(isinstance(m, nodes.State) for m in loose):
         machines.append(machine(scope, names.machines["main"], loose, node.name.span))
     elif loose:
-        scope.report.error(
-            "unknown-state", "there are no states here", loose[0].span, "move this line into the `machine` that it belongs to"
-        )
+        message = "there are no states here"
+        scope.report.error("unknown-state", message, loose[0].span, "move this line into the `machine` that it belongs to")
     known_names = {m.name for m in machines}
     for member in node.members:
         if isinstance(member, nodes.Machine) and member.name.text not in known_names:
@@ -258,9 +256,8 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, StableKeys]) -> mod
             )
         scope = scope.with_changes(locals={node.variable.text: other or bad_expression(node.variable.span)})
     elif node.variable is not None:
-        scope.report.error(
-            "wrong-argument", f"`on {event}` does not name an agent", node.variable.span, f"write `on {event} {{ … }}`"
-        )
+        message = f"`on {event}` does not name an agent"
+        scope.report.error("wrong-argument", message, node.variable.span, f"write `on {event} {{ … }}`")
         scope = scope.with_changes(locals={node.variable.text: bad_expression(node.variable.span)})
     if event not in EVENTS:
         scope.mark_used("on", event)

@@ -59,9 +59,8 @@ def check_spec(
 ) -> Spec:
     """Return a spec with the types of all its expressions. Reports names that cannot be used in a spec."""
     if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
-        declared.report.error(
-            "not-a-scene", f"`{spec.scene.text}` is not the name of a scene", spec.scene.span, 'write `on "scene.yaml"`'
-        )
+        words = f"`{spec.scene.text}` is not the name of a scene"
+        declared.report.error("not-a-scene", words, spec.scene.span, 'write `on "scene.yaml"`')
     work = _SpecCheck(declared, names, params, fields, compares=any(line.kind == "against" for line in spec.lines))
     for line in spec.lines:
         _line(work, line)
@@ -108,9 +107,8 @@ def _time(work: _SpecCheck, line: nodes.SpecLine, scope: Scope, node: nodes.Expr
         return None
     known = constant_behind(expr)
     if known is not None and known.number <= 0:
-        work.declared.report.error(
-            "out-of-range", f"`{word}` needs a time above 0", node.span, "write a time above 0, such as `20 s`"
-        )
+        message = f"`{word}` needs a time above 0"
+        work.declared.report.error("out-of-range", message, node.span, "write a time above 0, such as `20 s`")
         return None
     return expr
 
@@ -132,9 +130,8 @@ def _comparison_run(work: _SpecCheck, line: nodes.SpecLine) -> ComparisonRun:
     """Return the reference run; its `set` lines are in a separate list."""
     report, scene = work.declared.report, line.target
     if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
-        report.error(
-            "not-a-scene", f"`{scene.text}` is not the name of a scene", scene.span, 'write `against "without_fields.yaml"`'
-        )
+        message = f"`{scene.text}` is not the name of a scene"
+        report.error("not-a-scene", message, scene.span, 'write `against "without_fields.yaml"`')
     own, work.changes = work.changes, []
     for inner in line.lines:
         if inner.kind == "set":
@@ -173,9 +170,8 @@ def _whole_number(work: _SpecCheck, node: nodes.Expr) -> int | None:
     if known is not None and known.number == int(known.number) and 0 <= known.number < 2**53:
         return int(known.number)
     if expr.type.kind is not Kind.BAD:
-        work.declared.report.error(
-            "wrong-count", f"a seed is a whole number, not {quote_source(node.span)}", node.span, "write `seeds 1 .. 5`"
-        )
+        message = f"a seed is a whole number, not {quote_source(node.span)}"
+        work.declared.report.error("wrong-count", message, node.span, "write `seeds 1 .. 5`")
     return None
 
 
@@ -234,18 +230,16 @@ def _check_each_block(work: _SpecCheck, line: nodes.SpecLine) -> None:
     assert isinstance(line.target, nodes.NameRef)
     species = line.target.name.text
     if species not in declared.species:
-        declared.report.error(
-            "unknown-species", f"no species `{species}`", line.target.span, did_you_mean(species, declared.species)
-        )
+        message = f"no species `{species}`"
+        declared.report.error("unknown-species", message, line.target.span, did_you_mean(species, declared.species))
         return
     declared.used.add(("species", species))
     outer_scope(declared, work.names, "spec").bind(line.target.span, "species", species)
     work.blocks += 1
     for inner in line.lines:
         if inner.kind in ("seeds", "pass", "set", "against", "sooner", "each") or (inner.kind == "for" and not inner.condition):
-            declared.report.error(
-                "misplaced-line", f"`{inner.kind}` belongs to the whole spec", inner.span, f"write it outside of `each {species}`"
-            )
+            message = f"`{inner.kind}` belongs to the whole spec"
+            declared.report.error("misplaced-line", message, inner.span, f"write it outside of `each {species}`")
         else:
             _add_expectation(work, inner, species)
 
@@ -274,9 +268,8 @@ def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
     report = work.declared.report
     if line.held is not None and line.kind in ("always", "for"):
         words = f"`{line.kind}` with `held` fails in the first frame, where nothing has held yet"
-        report.error(
-            "wrong-argument", words, line.held.span, "leave `held` out: a condition that is always true has held all the time"
-        )
+        advice = "leave `held` out: a condition that is always true has held all the time"
+        report.error("wrong-argument", words, line.held.span, advice)
         return False
     if line.kind == "sooner" and not work.compares:
         words = "`sooner` compares with another run, and there is none"
@@ -300,9 +293,8 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
         return False
     draw = next((p for p in parts(expr) if isinstance(p, Op) and p.name in DRAWS), None)
     if draw is not None:
-        report.error(
-            "draw-in-spec", f"{quote_source(draw.span)} draws a random number, and a spec only looks", draw.span, "leave it out"
-        )
+        message = f"{quote_source(draw.span)} draws a random number, and a spec only looks"
+        report.error("draw-in-spec", message, draw.span, "leave it out")
         return False
     return True
 

@@ -38,10 +38,9 @@ def check_statements(scope: Scope, lines: Iterable[object], block: Block) -> tup
 
 def _report_duplicates(scope: Scope, name: nodes.Name, assigned: dict[str, Span]) -> None:
     if name.text in assigned:
-        scope.report.error(
-            "two-writers", f"`{name.text}` is set twice in one block, and only the second counts", name.span,
-            f"keep one of them, or add: `{name.text} += …`", labels=(Label(assigned[name.text], "first here"),),
-        )  # fmt: skip
+        message = f"`{name.text}` is set twice in one block, and only the second counts"
+        advice = f"keep one of them, or add: `{name.text} += …`"
+        scope.report.error("two-writers", message, name.span, advice, labels=(Label(assigned[name.text], "first here"),))
     assigned.setdefault(name.text, name.span)
 
 
@@ -103,10 +102,9 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of, over, element)
     if block.commuting and name not in ("heading", "velocity") and type.kind not in (Kind.AGENT, Kind.ITEM):
         text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
-        scope.report.error(
-            "not-commuting", f"`{what}` is set in a handler, where several events may come at once", line.span,
-            f"add to it: `{what} += {text}`, or set it in a change that asks for it: `when … -> … {{ {what} = {text} }}`",
-        )  # fmt: skip
+        words = f"`{what}` is set in a handler, where several events may come at once"
+        advice = f"add to it: `{what} += {text}`, or set it in a change that asks for it: `when … -> … {{ {what} = {text} }}`"
+        scope.report.error("not-commuting", words, line.span, advice)
         return None
     new = value_of_type(inner, line.value, type, f"`{name}`")
     return None if new.type.kind is Kind.BAD else model.Assign(name, "=", new, False, line.span, of, over, element)

@@ -93,12 +93,8 @@ def _attribute(declared: Declared, names: FileNames, item: nodes.WorldItem, node
     constant = constant_behind(expr)
     if constant is None or constant.type.kind is not Kind.NUMBER:
         if expr.type.kind is not Kind.BAD:
-            report.error(
-                "wrong-rate",
-                f"{quote_source(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with",
-                node.value.span,
-                f"write a number: `{name} = 0`",
-            )
+            words = f"{quote_source(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with"
+            report.error("wrong-rate", words, node.value.span, f"write a number: `{name} = 0`")
         constant = number(0, node.value.span)
     return model.ItemAttribute(name, constant.type, constant, node.help.text if node.help else "", node.name.span)
 
@@ -147,9 +143,8 @@ def declare_fields(declared: Declared, names: FileNames) -> list[nodes.FieldDecl
         elif known.span.source.path == item.span.source.path or known.span.text.split() != item.span.text.split():
             report_duplicate(declared.report, "field", item.name, known.name.span)
     if len(declared.fields) > limits.FIELDS:
-        declared.report.error(
-            "too-many", f"more than {limits.FIELDS} fields", added[-1].name.span if added else None, "leave some out"
-        )
+        message = f"more than {limits.FIELDS} fields"
+        declared.report.error("too-many", message, added[-1].name.span if added else None, "leave some out")
     return added
 
 

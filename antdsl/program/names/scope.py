@@ -266,7 +266,6 @@ def list_names(names: Iterable[str], most: int = 12) -> str:
 
 
 def report_duplicate(report: Report, what: str, name: nodes.Name, first: Span) -> None:
-    report.error(
-        "duplicate-name", f"{what} `{name.text}` is declared twice", name.span, "give one of them another name, or delete it",
-        labels=(Label(first, "first here"),),
-    )  # fmt: skip
+    message = f"{what} `{name.text}` is declared twice"
+    advice = "give one of them another name, or delete it"
+    report.error("duplicate-name", message, name.span, advice, labels=(Label(first, "first here"),))

@@ -80,9 +80,8 @@ class SpecRules:
         if expr.type.kind is Kind.BAD:
             return bad_expression(span)
         if expr.type.kind is not Kind.NUMBER:
-            scope.report.error(
-                "wrong-kind", f"`at_start` is for numbers, and this is {type_words(expr.type)}", span, "compare numbers"
-            )
+            words = f"`at_start` is for numbers, and this is {type_words(expr.type)}"
+            scope.report.error("wrong-kind", words, span, "compare numbers")
             return bad_expression(span)
         return AtStart(expr.type, expr.rate, span, expr)
 
@@ -91,10 +90,9 @@ class SpecRules:
         if expr.type.kind is Kind.BAD:
             return bad_expression(span)
         if self.inside or scope.species is not None or expr.type.kind is not Kind.NUMBER or expr.rate > Rate.STEP:
-            scope.report.error(
-                "wrong-rate", "`other` is a number of the whole in another run, where no agent is named", span,
-                "write it in a line of the spec itself: `always: total(nest.load) >= other`",
-            )  # fmt: skip
+            message = "`other` is a number of the whole in another run, where no agent is named"
+            advice = "write it in a line of the spec itself: `always: total(nest.load) >= other`"
+            scope.report.error("wrong-rate", message, span, advice)
             return bad_expression(span)
         return OtherRun(expr.type, Rate.STEP, span, expr)
 

@@ -67,9 +67,8 @@ def arrange_arguments(scope: Scope, called: str, slots: Sequence[Slot], node: Ca
         return None
     missing = [slot.name for slot in slots if slot.required and slot.name not in arguments_by_slot]
     if missing and sound:
-        scope.report.error(
-            "missing-argument", f"`{called}` wants {list_names(missing)}", node.span, f"write `{_call_text(form, slots)}`"
-        )
+        words = f"`{called}` wants {list_names(missing)}"
+        scope.report.error("missing-argument", words, node.span, f"write `{_call_text(form, slots)}`")
     return None if missing or not sound else arguments_by_slot
 
 

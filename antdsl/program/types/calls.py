@@ -66,9 +66,8 @@ def _report_unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type
         scope.report.error("not-yet", words, name.span, "leave it out for now")
         return
     if name.text in vocabulary.REDUCERS:
-        scope.report.error(
-            "wrong-argument", f"`{name.text}` needs a set", node.span, f"write `{name.text}(n in neighbours(20 mm): …)`"
-        )
+        message = f"`{name.text}` needs a set"
+        scope.report.error("wrong-argument", message, node.span, f"write `{name.text}(n in neighbours(20 mm): …)`")
         return
     home = scope.declared.home(name.text)
     if home is not None and home not in scope.file.libraries:
@@ -224,9 +223,8 @@ def check_row_limits(scope: Scope, arg: Arg, who: str, span: Span, expr: Expr, s
         help = f"write {type_words(expr.type)} above {arg.above:g}" + (f": `{sample}`" if sample else "")
         scope.report.error("out-of-range", message, span, help)
     if arg.is_integer and known.number % 1 != 0:
-        scope.report.error(
-            "wrong-count", f"{who} wants a whole number, not {quote_source(span)}", span, "write a number such as `3`"
-        )
+        words = f"{who} wants a whole number, not {quote_source(span)}"
+        scope.report.error("wrong-count", words, span, "write a number such as `3`")
 
 
 def _bind_variable(
@@ -267,9 +265,8 @@ def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str,
     ]
     a, b = constant_behind(low), constant_behind(high)
     if "from" in who and a and b and (a.u, a.step, a.number) == (b.u, b.step, b.number):
-        scope.report.error(
-            "empty-range", f"the range {quote_source(node.span)} has no width", node.span, "write two different ends"
-        )
+        words = f"the range {quote_source(node.span)} has no width"
+        scope.report.error("empty-range", words, node.span, "write two different ends")
     return ends
 
 
@@ -344,9 +341,8 @@ def _check_uniform(scope: Scope, node: nodes.Call, operation: Op) -> None:
         lesser, greater = (" ".join(arg.value.span.text.split()) for arg in reversed(written))
         better = f"uniform({lesser}, {greater})"
         fix = None if any(arg.name for arg in written) else Fix(node.span, better)
-        scope.report.error(
-            "empty-range", f"{quote_source(node.span)} ends before it begins", node.span, f"write `{better}`", fix=fix
-        )
+        message = f"{quote_source(node.span)} ends before it begins"
+        scope.report.error("empty-range", message, node.span, f"write `{better}`", fix=fix)
 
 
 def _check_normal(scope: Scope, node: nodes.Call, operation: Op) -> None:

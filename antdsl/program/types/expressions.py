@@ -62,9 +62,8 @@ def quantity_of(scope: Scope, node: nodes.Quantity, want: Type | None) -> Expr:
             scope.report.error("number-too-large", message, node.span, "write a smaller number")
         return expr
     units = ", ".join(f"`{unit}`" for unit in UNITS)
-    scope.report.error(
-        "unknown-unit", f"no unit `{node.unit}`", node.unit_span, did_you_mean(node.unit, UNITS, f"units are {units}")
-    )
+    words = f"no unit `{node.unit}`"
+    scope.report.error("unknown-unit", words, node.unit_span, did_you_mean(node.unit, UNITS, f"units are {units}"))
     return bad_expression(node.span)
 
 

@@ -164,10 +164,9 @@ def _chance(scope: Scope, node: nodes.Unary) -> Expr:
         text = " ".join(node.operand.span.text.split())
         if isinstance(node.operand, nodes.Number | nodes.Quantity):
             text = text.replace(",", ".")
-        scope.report.error(
-            "not-a-rate", f"{quote_source(node.operand.span)} does not say per what time", node.operand.span,
-            f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for so much a second",
-        )  # fmt: skip
+        message = f"{quote_source(node.operand.span)} does not say per what time"
+        advice = f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for so much a second"
+        scope.report.error("not-a-rate", message, node.operand.span, advice)
     else:
         report_mismatch(scope.report, node.operand, expr.type, PER_SECOND, "`chance`")
     return bad_expression(node.span)
@@ -181,9 +180,8 @@ def _check_chance(scope: Scope, node: nodes.Unary, expr: Expr) -> None:
         message = f"a chance below 0: {quote_source(node.operand.span)}"
         scope.report.error("out-of-range", message, node.operand.span, "write a chance of 0 or more")
     elif known.type == NUMBER and known.number > 1 and scope.runs_once:
-        scope.report.error(
-            "out-of-range", f"a chance above 100 %: {quote_source(node.operand.span)}", node.operand.span, "write at most `100 %`"
-        )
+        words = f"a chance above 100 %: {quote_source(node.operand.span)}"
+        scope.report.error("out-of-range", words, node.operand.span, "write at most `100 %`")
 
 
 def draw_site(scope: Scope, word: str, span: Span) -> str:

@@ -30,9 +30,8 @@ def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
 
 
 def pair_of(scope: Scope, node: nodes.PairOf, want: Type | None) -> Expr:
-    scope.report.error(
-        "not-yet", "`… to …` as a pair of two things does not work yet", node.span, "a value per pair is written `likes[other]`"
-    )
+    message = "`… to …` as a pair of two things does not work yet"
+    scope.report.error("not-yet", message, node.span, "a value per pair is written `likes[other]`")
     return bad_expression(node.span)
 
 

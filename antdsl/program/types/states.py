@@ -89,9 +89,8 @@ def clip_test(scope: Scope, node: nodes.ClipTest, want: Type | None) -> Expr:
     """Type `clip done` or `clip at MARK`, about the machine of this place in the text, or the first one."""
     names = scope.species
     if names is None or not names.machines or scope.behaviour is not None:
-        scope.report.error(
-            "unknown-name", "there is no clip here", node.span, "test it in a state of a species: `when clip done -> …`"
-        )
+        words = "there is no clip here"
+        scope.report.error("unknown-name", words, node.span, "test it in a state of a species: `when clip done -> …`")
         return bad_expression(node.span)
     if not node.at and node.name.text != "done":
         message = f"`clip {node.name.text}` is not a property of a clip"
