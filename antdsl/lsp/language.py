@@ -187,7 +187,9 @@ LANGUAGE: dict[str, Rule] = {
     "setting": _make_word_rule(SETTINGS, "setting of a field", samples.SETTING_FORMS),
     "kind": _make_word_rule(KINDS, "kind of thing of the world", samples.KIND_FORMS), "type": _type_word,
     "item-given": _make_typed_word_rule(vocabulary.ITEM_ATTRIBUTES, "every item has it", "nearest(food).{}"),
-    "hit-given": _make_typed_word_rule(vocabulary.HIT_ATTRIBUTES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"),
+    "hit-given": _make_typed_word_rule(
+        vocabulary.HIT_ATTRIBUTES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"
+    ),
     "motion": _make_typed_word_rule(MOTION, "how the crowd moves", "motion.{}"),
     "geometry": _make_typed_word_rule(GEOMETRY, "how an animal's body stands: for specs", "any({} > 0)"),
     "scene": _make_word_rule(SCENE_HELP, "key of a scene", samples.SCENE_FORMS, "yaml"), "colour": _colour,

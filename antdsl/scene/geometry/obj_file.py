@@ -89,10 +89,9 @@ class _Reader:
         index, is_integer = block.read_integers(at, slash=True)
         wrong = np.flatnonzero(~is_integer | (index == 0))
         if len(wrong):
-            word = block.words[at[wrong[0]]]
-            raise mesh_text.MeshError(
-                f"has a corner `{mesh_text.display_word(word)}` that is no vertex number in line {block.line_number(int(at[wrong[0]])):,}"
-            )
+            word = mesh_text.display_word(block.words[at[wrong[0]]])
+            line = block.line_number(int(at[wrong[0]]))
+            raise mesh_text.MeshError(f"has a corner `{word}` that is no vertex number in line {line:,}")
         back = np.repeat(vertex_counts, count)
         absent = np.flatnonzero(index < -back)
         if len(absent):
