@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 from antdsl.loading import find_library
 from antdsl.lsp import samples
 from antdsl.lsp.words import (
     FORM_HELP,
-    INNER_HELP,
-    KINDS,
+    INNER_WORDS,
     PLAY_HELP,
-    SCENE_HELP,
+    SCENE_KEYS,
     SETTINGS,
-    STATE_WORD_HELP,
     STEPS,
     TYPE_HELP,
     UNIT_HELP,
-    WHOLE_HELP,
-    WORD_HELP,
+    VALUES,
+    WHOLES,
+    WORDS_OF_STATES,
+    Word,
 )
 from antdsl.program.expectations import GEOMETRY, MOTION
 from antdsl.program.kinds import Dim
@@ -28,16 +28,25 @@ from antdsl.program.names.collect import EVENTS
 from antdsl.program.tables import vocabulary
 from antdsl.program.tables.colours import COLOURS
 from antdsl.program.tables.rows import Builtin
+from antdsl.program.tables.things import KINDS_OF_THINGS, KindOfThing
 from antdsl.program.tables.units import default_unit, dimension_words, measure
 from antdsl.resources import library_names
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FORMS
 
 Rule = Callable[[Key], str | None]
+# The words that members of a species begin with; an attribute has none.
+MEMBER_WORDS: Mapping[type, str] = {nodes.ParamDecl: "param", nodes.Let: "let", nodes.Latch: "latch", nodes.Fuzzy: "fuzzy"}
 
 
 def flat(text: str) -> str:
     return " ".join(text.split())
+
+
+def help_text(node: Any) -> str:
+    """Return the text that says what a declared thing is for; "" without one."""
+    help = getattr(node, "help", None)
+    return help.text if help is not None else ""
 
 
 def markdown(form: str, *lines: str, notation: str = "ant") -> str:
@@ -102,7 +111,7 @@ def _reducer(key: Key) -> str | None:
 
 
 def _describe_form(key: Key) -> str | None:
-    return markdown(f"{key[1]}(…)\n{samples.WHOLE_FORMS[key[1]]}", WHOLE_HELP[key[1]]) if key[1] in WHOLE_HELP else None
+    return markdown(f"{key[1]}(…)\n{WHOLES[key[1]].sample}", WHOLES[key[1]].help) if key[1] in WHOLES else None
 
 
 def _builtin_argument(key: Key) -> str | None:
@@ -116,11 +125,9 @@ def _builtin_argument(key: Key) -> str | None:
 
 def _word(key: Key) -> str | None:
     word = key[1]
-    help = STATE_WORD_HELP.get(word) or WORD_HELP.get(word)
+    row = WORDS_OF_STATES.get(word) or VALUES.get(word)
     type = vocabulary.RUN_NAMES.get(word) or vocabulary.SENSED_NAMES.get(word)
-    if help is None:
-        return None
-    return markdown(f"{word}: {type}\n{samples.VALUE_FORMS[word]}" if type else samples.VALUE_FORMS[word], help)
+    return None if row is None else markdown(f"{word}: {type}\n{row.sample}" if type else row.sample, row.help)
 
 
 def _unit(key: Key) -> str | None:
@@ -144,9 +151,10 @@ def _make_typed_word_rule(table: Any, what: str, form: str) -> Rule:
     return rule
 
 
-def _make_word_rule(table: dict[str, str], what: str, forms: dict[str, str], notation: str = "ant") -> Rule:
+def _make_word_rule(table: Mapping[str, Word | KindOfThing], what: str, notation: str = "ant") -> Rule:
     def rule(key: Key) -> str | None:
-        return markdown(forms[key[1]], table[key[1]], what, notation=notation) if key[1] in table else None
+        row = table.get(key[1])
+        return None if row is None else markdown(row.sample, row.help, what, notation=notation)
 
     return rule
 
@@ -155,7 +163,7 @@ def describe_keyword(word: str, begins: bool) -> str | None:
     """Return the description of a keyword, or None. A word that begins a line differs from the same word inside one: `on spawn {
     … }`, `field trail on ground`."""
     if not begins:
-        return markdown(samples.INNER_FORMS[word], INNER_HELP[word]) if word in INNER_HELP else None
+        return markdown(INNER_WORDS[word].sample, INNER_WORDS[word].help) if word in INNER_WORDS else None
     if word not in FORM_HELP:
         return None
     form = FORMS.get(word, "when touching(meal) take 1 load from meal -> carry" if word == "take" else word)
@@ -184,35 +192,35 @@ def _colour(key: Key) -> str | None:
 LANGUAGE: dict[str, Rule] = {
     "given": _describe_built_in, "builtin": _builtin, "builtin-argument": _builtin_argument, "word": _word, "unit": _unit,
     "steered": _steered, "event": _event, "element": _element,
-    "setting": _make_word_rule(SETTINGS, "setting of a field", samples.SETTING_FORMS),
-    "kind": _make_word_rule(KINDS, "kind of thing of the world", samples.KIND_FORMS), "type": _type_word,
+    "setting": _make_word_rule(SETTINGS, "setting of a field"),
+    "kind": _make_word_rule(KINDS_OF_THINGS, "kind of thing of the world"), "type": _type_word,
     "item-given": _make_typed_word_rule(vocabulary.ITEM_ATTRIBUTES, "every item has it", "nearest(food).{}"),
     "hit-given": _make_typed_word_rule(
         vocabulary.HIT_ATTRIBUTES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"
     ),
     "motion": _make_typed_word_rule(MOTION, "how the crowd moves", "motion.{}"),
     "geometry": _make_typed_word_rule(GEOMETRY, "how an animal's body stands: for specs", "any({} > 0)"),
-    "scene": _make_word_rule(SCENE_HELP, "key of a scene", samples.SCENE_FORMS, "yaml"), "colour": _colour,
+    "scene": _make_word_rule(SCENE_KEYS, "key of a scene", "yaml"), "colour": _colour,
     "body": lambda key: markdown(key[1], "a clip, layer, channel or group of joints of the body that a scene gives the animal"),
 }  # fmt: skip
 # What a bare word may mean: in words, the table it stands in, and the rule that tells it.
 _MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (
     ("begins a line", FORM_HELP, lambda key: describe_keyword(key[1], True)),
-    ("inside a line", INNER_HELP, lambda key: describe_keyword(key[1], False)),
+    ("inside a line", INNER_WORDS, lambda key: describe_keyword(key[1], False)),
     ("a call", vocabulary.BUILTINS, _called),
     ("of a set", vocabulary.REDUCERS, _reducer),
-    ("of all agents, in a spec", WHOLE_HELP, _describe_form),
+    ("of all agents, in a spec", WHOLES, _describe_form),
     ("every animal has it", vocabulary.BUILTIN_ATTRIBUTES, _describe_built_in),
-    ("a value", {**STATE_WORD_HELP, **WORD_HELP}, _word),
+    ("a value", {**WORDS_OF_STATES, **VALUES}, _word),
     ("a unit", vocabulary.UNITS, _unit),
-    ("kind of thing of the world", KINDS, LANGUAGE["kind"]),
+    ("kind of thing of the world", KINDS_OF_THINGS, LANGUAGE["kind"]),
     ("setting of a field", SETTINGS, LANGUAGE["setting"]),
     ("a type", vocabulary.TYPE_WORDS, _type_word),
     ("what a ray met has it", vocabulary.HIT_ATTRIBUTES, LANGUAGE["hit-given"]),
     ("every item has it", vocabulary.ITEM_ATTRIBUTES, LANGUAGE["item-given"]),
     ("how the crowd moves", MOTION, LANGUAGE["motion"]),
     ("how an animal's body stands: for specs", GEOMETRY, LANGUAGE["geometry"]),
-    ("key of a scene", SCENE_HELP, LANGUAGE["scene"]),
+    ("key of a scene", SCENE_KEYS, LANGUAGE["scene"]),
     ("a colour", COLOURS, _colour),
     ("an event", EVENTS, _event),
 )
@@ -236,7 +244,7 @@ def explain_word(word: str) -> str | None:
     meanings += [("argument of a call", "\n\n".join(_arguments(word)))]
     for brings, node in _library():
         if node.name.text == word:
-            text = markdown(f"behaviour {signature(node)}", node.help.text if node.help else "", f"`use {brings}`")
+            text = markdown(f"behaviour {signature(node)}", help_text(node), f"`use {brings}`")
             meanings.append(
                 (f"a behaviour of the library `{brings}`", f"{text}\n\nIts definition:\n\n```ant\n{node.span.text}\n```")
             )

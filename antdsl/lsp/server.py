@@ -26,7 +26,7 @@ from antdsl.lsp.features.outline import folds, symbols
 from antdsl.lsp.language import describe_keyword
 from antdsl.lsp.scene_help import complete_scene
 from antdsl.lsp.text import path_of, uri_of
-from antdsl.lsp.words import SCENE_HELP
+from antdsl.lsp.words import scene_key_help
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.whole import write_parts
 
@@ -203,9 +203,8 @@ def _hover(ls: Server, params: lsp.HoverParams) -> lsp.Hover | None:
         if not said:
             start, end = document.word_at(offset)
             word = document.text.text[start:end]
-            text = (
-                describe_keyword(word, is_line_start(document.text.text, start)) if document.is_program else SCENE_HELP.get(word)
-            )
+            is_first = is_line_start(document.text.text, start)
+            text = describe_keyword(word, is_first) if document.is_program else scene_key_help(word)
             return lsp.Hover(_markdown(text), protocol.range_of(document.text.range(start, end))) if text else None
         return lsp.Hover(_markdown("\n\n---\n\n".join(said)), protocol.range_of(document.range(next(iter(said.values())))))
 
