@@ -101,15 +101,12 @@ def _recipient(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> 
     text = " ".join(node.span.text.split())
     if expr.type.kind is Kind.SPECIES:
         message = f"`{text}` is a whole species, but `{row.op} … to` needs one agent"
-        scope.report.error("wrong-kind", message, node.span, f"name one: `to nearest({text})`")
-        return bad_expression(node.span)
+        return scope.reject("wrong-kind", message, node.span, f"name one: `to nearest({text})`")
     if expr.type.kind is not Kind.AGENT:
-        report_mismatch(scope.report, node, expr.type, Type(Kind.AGENT), f"`{row.op} … to`")
-        return bad_expression(node.span)
+        return report_mismatch(scope.report, node, expr.type, Type(Kind.AGENT), f"`{row.op} … to`")
     if expr.type.of is None:
         advice = "name the species where you search for the agent, such as `nearest(neighbours(20 mm, of: rabbit))`"
-        scope.report.error("wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span, advice)
-        return bad_expression(node.span)
+        return scope.reject("wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span, advice)
     if line.name is not None:
         scope.mark_used("told", f"{line.name.text} {expr.type.of}")
     return expr

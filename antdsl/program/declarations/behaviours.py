@@ -346,8 +346,9 @@ def _expand_call(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_n
     if not report.ok:
         first = report.errors[0]
         labels = (Label(first.span, "here"),) if first.span is not None else ()
-        scope.report.error(first.code, f"`{name}` cannot be used this way: {first.message}", node.span, first.help, labels=labels)
-        return bad_expression(node.span)
+        return scope.reject(
+            first.code, f"`{name}` cannot be used this way: {first.message}", node.span, first.help, labels=labels
+        )
     return InlinedBehaviour(
         result.type, max(result.rate, rate_of(b.value for b in body)), node.span, name, key, tuple(arguments), tuple(body), result
     )
@@ -363,6 +364,5 @@ def _argument_value(scope: Scope, called: str, argument: nodes.BehaviourArgument
         expr = scope.type_expression(node, type)
         if is_compatible(expr.type, type) or (type.kind is Kind.OBSTACLE and expr.type.kind in (Kind.SURFACE, Kind.SOLID)):
             return expr
-        report_mismatch(scope.report, node, expr.type, type, who)
-        return bad_expression(node.span)
+        return report_mismatch(scope.report, node, expr.type, type, who)
     return value_of_type(scope, node, type, who)

@@ -19,8 +19,7 @@ def fuzzy_mean(scope: Scope, node: nodes.Fuzzy) -> Expr:
     arguments of the operation are degree, output, degree, output, …"""
     if not node.rules:
         message = f"`fuzzy {node.name.text}` has no rules"
-        scope.report.error("empty-fuzzy", message, node.span, "write rules such as `near and fast -> 0.8`")
-        return bad_expression(node.span)
+        return scope.reject("empty-fuzzy", message, node.span, "write rules such as `near and fast -> 0.8`")
     if len(node.rules) > limits.RULES:
         over = node.rules[limits.RULES].span
         scope.report.error("too-many", f"more than {limits.RULES} rules in one `fuzzy`", over, "put some together")
@@ -54,8 +53,7 @@ def _degree(scope: Scope, node: nodes.Expr) -> Expr:
         text = " ".join(node.span.text.split())
         message = f"{quote_source(node.span)} is {type_words(expr.type)}, and a rule wants a share from 0 to 1"
         advice = f"say where it begins and where it is full: `rising({text if len(text) <= 30 else '…'}, a .. b)`"
-        scope.report.error("wrong-unit", message, node.span, advice)
-        return bad_expression(node.span)
+        return scope.reject("wrong-unit", message, node.span, advice)
     known = constant_behind(expr)
     if known is not None and not 0 <= known.number <= 1:
         message = f"{quote_source(node.span)} is not a degree of truth"

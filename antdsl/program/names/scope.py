@@ -157,6 +157,11 @@ class Scope:
         """Return the expression with its type. `want` gives `none` and bare names their meaning; it is not enforced."""
         return self.declared.rules[type(node)](self, node, want)
 
+    def reject(self, code: str, message: str, span: Span, help: str | None = None, **details: object) -> Expr:
+        """Report an error about an expression, and return what stands for it."""
+        self.report.error(code, message, span, help, **details)
+        return bad_expression(span)
+
     def bind(self, span: Span, *key: str) -> None:
         """Record what the name at a place was resolved to. Names in an expanded behaviour are not recorded: they are not at that
         place of the text."""

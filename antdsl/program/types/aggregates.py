@@ -65,8 +65,7 @@ class SpecRules:
             when = "was" if name == "at_start" else "is in the other run"
             message = f"`{name}` is what the other side of a comparison {when}, and there is none"
             advice = f"write `total(food.load) == {name}`, or `{name}(total(food.load))`"
-            scope.report.error("at-start-alone", message, node.span, advice)
-            return bad_expression(node.span)
+            return scope.reject("at-start-alone", message, node.span, advice)
         species = scope.species
         if name in GEOMETRY and species is not None and name not in {*species.attributes, *species.params, *species.bindings}:
             return BodyMeasure(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
@@ -75,14 +74,12 @@ class SpecRules:
     def _at_start(self, scope: Scope, expr: Expr, span: Span) -> Expr:
         if self.inside:
             message = "`at_start` cannot be inside an expression that is computed for each agent"
-            scope.report.error("set-in-set", message, span, "write `at_start(total(food.load))`")
-            return bad_expression(span)
+            return scope.reject("set-in-set", message, span, "write `at_start(total(food.load))`")
         if expr.type.kind is Kind.BAD:
             return bad_expression(span)
         if expr.type.kind is not Kind.NUMBER:
             words = f"`at_start` is for numbers, and this is {type_words(expr.type)}"
-            scope.report.error("wrong-kind", words, span, "compare numbers")
-            return bad_expression(span)
+            return scope.reject("wrong-kind", words, span, "compare numbers")
         return AtStart(expr.type, expr.rate, span, expr)
 
     def _other_run(self, scope: Scope, expr: Expr, span: Span) -> Expr:
@@ -92,8 +89,7 @@ class SpecRules:
         if self.inside or scope.species is not None or expr.type.kind is not Kind.NUMBER or expr.rate > Rate.STEP:
             message = "`other` is a number of the whole in another run, where no agent is named"
             advice = "write it in a line of the spec itself: `always: total(nest.load) >= other`"
-            scope.report.error("wrong-rate", message, span, advice)
-            return bad_expression(span)
+            return scope.reject("wrong-rate", message, span, advice)
         return OtherRun(expr.type, Rate.STEP, span, expr)
 
     def _member(self, scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
@@ -128,12 +124,11 @@ class SpecRules:
         scope.bind(node.owner.span, "field", field)
         if self.cells == field:
             return CellValue(NUMBER, Rate.ELEMENT, node.span, field)
-        scope.report.error(
+        return scope.reject(
             "wrong-rate", f"`{field}.value` needs a cell", node.span,
             f"use a value of all cells: `max({field}.value)`, `share({field}.value > 0)`; "
             f"at an agent's position, write `{field}` alone",
         )  # fmt: skip
-        return bad_expression(node.span)
 
     def _reports_unnamed_agent(self, scope: Scope, owner: str, node: nodes.Member) -> bool:
         """Return whether `forager.load` names no single forager; report an error then."""
@@ -251,15 +246,13 @@ class SpecRules:
     def _report_no_sum(scope: Scope, node: nodes.Call, field: str) -> Expr:
         words = f"{quote_source(node.span)} works something out for each cell of `{field}`"
         known = f"write `{node.function.span.text}({field}.value)`, or `count({field}.value > 0)` or similar"
-        scope.report.error("wrong-argument", words, node.span, known)
-        return bad_expression(node.span)
+        return scope.reject("wrong-argument", words, node.span, known)
 
     @staticmethod
     def _report_no_value(scope: Scope, node: nodes.Call, who: str) -> Expr:
         value = f"{who}.{'size' if who in scope.declared.species else 'radius'}"
         advice = f"name one, such as `{value}`, or write `count({who})` for how many there are"
-        scope.report.error("wrong-argument", f"{quote_source(node.span)} does not say which value of `{who}`", node.span, advice)
-        return bad_expression(node.span)
+        return scope.reject("wrong-argument", f"{quote_source(node.span)} does not say which value of `{who}`", node.span, advice)
 
     @staticmethod
     def _report_vector(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Expr:
@@ -277,8 +270,7 @@ class SpecRules:
         if not is_complete_set or reduction.how in ("best", "nearest") or reduction.type.kind not in (Kind.NUMBER, Kind.BOOL):
             message = f"{quote_source(reduction.span)} needs an agent, but none is named"
             advice = "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all"
-            scope.report.error("wrong-rate", message, reduction.span, advice)
-            return bad_expression(reduction.span)
+            return scope.reject("wrong-rate", message, reduction.span, advice)
         kind = Kind.ITEMS if over.element.type.kind is Kind.ITEM else Kind.SPECIES
         body = reduction.body if reduction.how != "count" or reduction.body is None or reduction.body.rate > Rate.CONST else None
         how = "total" if reduction.how == "sum" else reduction.how

@@ -10,7 +10,7 @@ from itertools import pairwise
 from antdsl.diagnostics import Fix, Label
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
-from antdsl.program.names.scope import Scope, bad_expression, list_names
+from antdsl.program.names.scope import Scope, list_names
 from antdsl.program.types.descriptions import quote_source, report_mismatch
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -228,8 +228,7 @@ def place(scope: Scope, node: nodes.Expr, who: str) -> Expr:
         return expr
     if expr.type.kind in (Kind.ITEMS, Kind.SPECIES):
         return nearest_of(expr, node.span)
-    report_mismatch(scope.report, node, expr.type, Type(Kind.PLACE), who)
-    return bad_expression(node.span)
+    return report_mismatch(scope.report, node, expr.type, Type(Kind.PLACE), who)
 
 
 def element_type(things: Type) -> Type:

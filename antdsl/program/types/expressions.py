@@ -72,8 +72,7 @@ def none_of(scope: Scope, node: nodes.NoneOf, want: Type | None) -> Expr:
         if want is not None and want.kind in MAY_BE_NONE:
             return NoneRef(want, Rate.CONST, node.span)
         advice = "write `none of food` or `none of rabbit`, with the name that is meant"
-        scope.report.error("none-of-what", "`none` alone does not say of what", node.span, advice)
-        return bad_expression(node.span)
+        return scope.reject("none-of-what", "`none` alone does not say of what", node.span, advice)
     type = reference_type(scope, node.of)
     return bad_expression(node.span) if type is None else NoneRef(type, Rate.CONST, node.span)
 
@@ -142,8 +141,7 @@ def _report_too_early(scope: Scope, name: str, span: Span) -> None:
 def report_pair_value(scope: Scope, node: nodes.Name, owner: str = "") -> Expr:
     """Report a pair value that is named without its other agent."""
     help = f"the agent that has it reads it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
-    scope.report.error("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
-    return bad_expression(node.span)
+    return scope.reject("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
 
 
 def _element_value(scope: Scope, name: str, span: Span) -> Expr | None:
@@ -347,8 +345,7 @@ def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
     scope.bind_unreadable(node.name, owner.type)
     species = owner.type.of or "species"
     message = f"`{species}` is a whole species, but `{node.name.text}` is a value of one agent"
-    scope.report.error("wrong-kind", message, node.span, f"name one: `nearest({species}).{node.name.text}`")
-    return bad_expression(node.span)
+    return scope.reject("wrong-kind", message, node.span, f"name one: `nearest({species}).{node.name.text}`")
 
 
 @dataclass(frozen=True, slots=True)
@@ -371,5 +368,4 @@ def range_of(scope: Scope, node: nodes.RangeExpr, want: Type | None) -> Expr:
     scope.type_expression(node.low)
     scope.type_expression(node.high)
     message = f"a range {quote_source(node.span)} cannot stand here"
-    scope.report.error("wrong-kind", message, node.span, "ranges are for arguments such as `from: 0 mm .. 5 mm`")
-    return bad_expression(node.span)
+    return scope.reject("wrong-kind", message, node.span, "ranges are for arguments such as `from: 0 mm .. 5 mm`")

@@ -54,12 +54,7 @@ def value_of_type(scope: Scope, node: nodes.Expr, want: Type, place: str) -> Exp
     expr = value(scope, node, want)
     if is_compatible(expr.type, want):
         return expr
-    return _report_wrong_type(scope, node, expr, want, place)
-
-
-def _report_wrong_type(scope: Scope, node: nodes.Expr, expr: Expr, want: Type, place: str) -> Expr:
-    report_mismatch(scope.report, node, expr.type, want, place, expr)
-    return bad_expression(node.span)
+    return report_mismatch(scope.report, node, expr.type, want, place, expr)
 
 
 def facing_direction(scope: Scope, node: nodes.Expr) -> Expr:
@@ -68,7 +63,7 @@ def facing_direction(scope: Scope, node: nodes.Expr) -> Expr:
     expr = value(scope, node, PUSH)
     if is_compatible(expr.type, VELOCITY):
         return expr
-    return expr if is_compatible(expr.type, PUSH) else _report_wrong_type(scope, node, expr, PUSH, "`face`")
+    return expr if is_compatible(expr.type, PUSH) else report_mismatch(scope.report, node, expr.type, PUSH, "`face`", expr)
 
 
 def condition(scope: Scope, node: nodes.Expr, place: str) -> Expr:
@@ -84,8 +79,7 @@ def truth(scope: Scope, node: nodes.Expr, expr: Expr, place: str) -> Expr:
         return expr
     if kind in MAY_BE_NONE or kind is Kind.SET or (kind is Kind.PLACE and scope.generic):
         return op("is_some", BOOL, expr.span, expr)
-    report_mismatch(scope.report, node, expr.type, BOOL, place)
-    return bad_expression(node.span)
+    return report_mismatch(scope.report, node, expr.type, BOOL, place)
 
 
 def _mentions_event(scope: Scope, node: nodes.Expr) -> bool:
@@ -201,8 +195,7 @@ def count(scope: Scope, node: nodes.Expr, who: str) -> Expr:
     if known is not None and known.type == NUMBER and 1 <= known.number <= 64 and known.number == int(known.number):
         return Const(NUMBER, Rate.CONST, node.span, known.number)
     message = f"{who} wants a whole number from 1 to 64, not {quote_source(node.span)}"
-    scope.report.error("wrong-count", message, node.span, "write a number such as `3`")
-    return bad_expression(node.span)
+    return scope.reject("wrong-count", message, node.span, "write a number such as `3`")
 
 
 # --- two operands ----------------------------------------------------------------------------------------------------
@@ -365,6 +358,5 @@ def if_else(scope: Scope, node: nodes.IfElse, want: Type | None) -> Expr:
     type = otherwise.type if then.type.kind is Kind.BAD else then.type
     if type.kind in THINGS or type.kind is Kind.SET:
         message = f"`if` cannot choose {type_words(type)}"
-        scope.report.error("wrong-kind", message, node.span, "choose between values: numbers, vectors, items, agents")
-        return bad_expression(node.span)
+        return scope.reject("wrong-kind", message, node.span, "choose between values: numbers, vectors, items, agents")
     return op("if", type, node.span, test, then, otherwise)

@@ -25,14 +25,12 @@ def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
     if scope.type_expression(owner).type.kind is Kind.BAD:
         return bad_expression(node.span)
     advice = "a value per pair is declared so: `likes = 0 for each roach, strongest 8`"
-    scope.report.error("wrong-kind", f"{quote_source(owner.span)} has no value per agent", node.span, advice)
-    return bad_expression(node.span)
+    return scope.reject("wrong-kind", f"{quote_source(owner.span)} has no value per agent", node.span, advice)
 
 
 def pair_of(scope: Scope, node: nodes.PairOf, want: Type | None) -> Expr:
     message = "`… to …` as a pair of two things does not work yet"
-    scope.report.error("not-yet", message, node.span, "a value per pair is written `likes[other]`")
-    return bad_expression(node.span)
+    return scope.reject("not-yet", message, node.span, "a value per pair is written `likes[other]`")
 
 
 def check_pair_value(scope: Scope, attribute: AttributeDecl, to: Expr | None) -> None:

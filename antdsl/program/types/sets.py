@@ -65,8 +65,7 @@ def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
             return bad_expression(node.span)
         of = species.type.of
     elif scope.behaviour is None and scope.species is None:
-        scope.report.error("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
-        return bad_expression(node.span)
+        return scope.reject("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
     _check_reach(scope, radius, node)
     most = _count_limit(scope, name, row, arguments_by_slot, node)
     element = element_of(Type(Kind.AGENT, Dim(), of), "it", node)
@@ -185,8 +184,9 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
     if variable is None or not isinstance(argument, nodes.Comprehension):
         if how not in ("count", "any"):
             message = f"`{how}` does not know what to take of each"
-            scope.report.error("wrong-argument", message, node.span, f"write `{how}(n in {' '.join(over.span.text.split())}: …)`")
-            return bad_expression(node.span)
+            return scope.reject(
+                "wrong-argument", message, node.span, f"write `{how}(n in {' '.join(over.span.text.split())}: …)`"
+            )
         element = over.element
         body: Expr = Const(BOOL, Rate.CONST, node.span, 1.0)
     else:

@@ -90,11 +90,9 @@ def clip_test(scope: Scope, node: nodes.ClipTest, want: Type | None) -> Expr:
     names = scope.species
     if names is None or not names.machines or scope.behaviour is not None:
         words = "there is no clip here"
-        scope.report.error("unknown-name", words, node.span, "test it in a state of a species: `when clip done -> …`")
-        return bad_expression(node.span)
+        return scope.reject("unknown-name", words, node.span, "test it in a state of a species: `when clip done -> …`")
     if not node.at and node.name.text != "done":
         message = f"`clip {node.name.text}` is not a property of a clip"
-        scope.report.error("unknown-name", message, node.span, f"write `clip done`, or for a mark `clip at {node.name.text}`")
-        return bad_expression(node.span)
+        return scope.reject("unknown-name", message, node.span, f"write `clip done`, or for a mark `clip at {node.name.text}`")
     machine = scope.machine or next(iter(names.machines.values()))
     return ClipTest(BOOL, Rate.AGENT, node.span, machine.name, node.name.text if node.at else "")
