@@ -103,11 +103,8 @@ def _called(key: Key) -> str | None:
 
 
 def _reducer(key: Key) -> str | None:
-    return (
-        markdown(f"{key[1]}(n in SET: …)\n{samples.SET_FORMS[key[1]]}", vocabulary.REDUCERS[key[1]])
-        if key[1] in vocabulary.REDUCERS
-        else None
-    )
+    help = vocabulary.REDUCERS.get(key[1])
+    return None if help is None else markdown(f"{key[1]}(n in SET: …)\n{samples.SET_FORMS[key[1]]}", help)
 
 
 def _describe_form(key: Key) -> str | None:

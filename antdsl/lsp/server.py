@@ -63,9 +63,8 @@ class Server(LanguageServer):
 
     def supports_snippets(self) -> bool:
         capabilities = self.client_capabilities.text_document
-        item = (
-            capabilities.completion.completion_item if capabilities is not None and capabilities.completion is not None else None
-        )
+        completion = capabilities.completion if capabilities is not None else None
+        item = completion.completion_item if completion is not None else None
         return bool(item is not None and item.snippet_support)
 
     # --- complaints ---

@@ -185,11 +185,9 @@ def lower_feelers(w: Writer, e: model.SetOf) -> tuple[Hit, ...]:
     for k in range(n):
         share = 0.0 if n == 1 else 2 * k / (n - 1) - 1
         angle = b("mul", spread, b.number(share))
-        ahead = (
-            heading
-            if share == 0
-            else values.add(b, values.scale(b, heading, b("cos", angle)), values.scale(b, across, b("sin", angle)))
-        )
+        ahead = heading
+        if share != 0:
+            ahead = values.add(b, values.scale(b, heading, b("cos", angle)), values.scale(b, across, b("sin", angle)))
         hits.append(cast_ray(w, ahead, reach, e.of))
     return tuple(hits)
 

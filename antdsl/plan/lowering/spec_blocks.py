@@ -205,13 +205,8 @@ class _SpecLowering:
         kind = _KINDS[e.over.kind]
         where = body = amount = None
         if kind in ("species", "items") or e.body is not None:
-            w = (
-                self.cell_writer(of)
-                if kind == "field"
-                else self.item_writer(of)
-                if kind == "items"
-                else self.agent_writer(of, e.span)
-            )
+            writers = {"field": self.cell_writer, "items": self.item_writer}
+            w = writers[kind](of) if kind in writers else self.agent_writer(of, e.span)
             for element in e.elements:
                 w.environment[element] = OwnPlace()
             if e.where is not None:

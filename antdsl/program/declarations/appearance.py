@@ -104,11 +104,8 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
     said: dict[str, Expr] = {}
     for name in (each for each in (*_NUMBERS, *_CONDITIONS) if each in argument_nodes):
         who = f"`{name}` of `play`"
-        said[name] = (
-            value_of_type(scope, argument_nodes[name], NUMBER, who)
-            if name in _NUMBERS
-            else condition(scope, argument_nodes[name], who)
-        )
+        node = argument_nodes[name]
+        said[name] = value_of_type(scope, node, NUMBER, who) if name in _NUMBERS else condition(scope, node, who)
     names = {name: _name_argument(scope, clip, name, argument_nodes[name]) for name in _NAMES if name in argument_nodes}
     if any(each.type.kind is Kind.BAD for each in said.values()) or None in names.values():
         return None

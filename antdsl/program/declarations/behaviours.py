@@ -271,11 +271,9 @@ def _called_behaviour(scope: Scope, function: nodes.Expr) -> BehaviourInfo | Non
     alias = function.owner.name.text if isinstance(function.owner, nodes.NameRef) else None
     module = scope.file.aliases.get(alias) if alias else None
     if module is None:
-        advice = (
-            f'bring it: `use "./{alias}.ant" as {alias}`'
-            if alias
-            else "only behaviours of a file in a `use` line are called this way"
-        )
+        advice = "only behaviours of a file in a `use` line are called this way"
+        if alias:
+            advice = f'bring it: `use "./{alias}.ant" as {alias}`'
         message = f"no file is used as {quote_source(function.owner.span)}"
         scope.report.error("unknown-module", message, function.owner.span, did_you_mean(alias or "", scope.file.aliases, advice))
         return None

@@ -99,11 +99,9 @@ def _unify_types(scope: Scope, node: nodes.Declaration, three: list[_ParamNumber
 
 
 def _with_type_of(const: Const, reference: Const) -> Const:
-    return (
-        const
-        if const.type == reference.type
-        else Const(reference.type, const.rate, const.span, const.number, reference.u, reference.step)
-    )
+    if const.type == reference.type:
+        return const
+    return Const(reference.type, const.rate, const.span, const.number, reference.u, reference.step)
 
 
 def _report_odd_type(scope: Scope, three: Sequence[_ParamNumber], odd: int, expected: Type, who: str) -> None:

@@ -29,11 +29,8 @@ def fuzzy_mean(scope: Scope, node: nodes.Fuzzy) -> Expr:
     first: Expr | None = None
     for rule in node.rules:
         parts.append(_degree(inner, rule.condition))
-        said = (
-            value(scope, rule.value)
-            if first is None
-            else value_of_type(scope, rule.value, first.type, f"`fuzzy {node.name.text}`")
-        )
+        who = f"`fuzzy {node.name.text}`"
+        said = value(scope, rule.value) if first is None else value_of_type(scope, rule.value, first.type, who)
         if said.type.kind not in (Kind.NUMBER, Kind.BAD):
             report_mismatch(scope.report, rule.value, said.type, NUMBER, "a rule")
             said = bad_expression(rule.value.span)

@@ -135,13 +135,9 @@ def _assigned_attribute(scope: Scope, name: nodes.Name, block: Block, line: node
         message = f"`{text}` is a `let` or `latch`, which follows from other values"
         report.error("not-settable", message, name.span, "set what it follows from, or make it an attribute")
     elif builtin is not None or text in ("state", "previous", "next", "time_in_state"):
-        advice = (
-            "a transition changes it: `when … -> …`"
-            if builtin is None
-            else "it moves by `steer`"
-            if text in ("position", "speed")
-            else "it follows from other values"
-        )
+        advice = "it moves by `steer`" if text in ("position", "speed") else "it follows from other values"
+        if builtin is None:
+            advice = "a transition changes it: `when … -> …`"
         report.error("not-settable", f"`{text}` cannot be set", name.span, advice)
     else:
         known = [a for a in species.attributes if a not in species.each] + [

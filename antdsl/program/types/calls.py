@@ -236,11 +236,9 @@ def _bind_variable(
         variables[variable] = (node, expr)
         return expr
     first_node, first = variables[variable]
-    agrees = (
-        first.type.dim == expr.type.dim
-        if dims_only and Kind.BAD not in (first.type.kind, expr.type.kind)
-        else is_compatible(expr.type, first.type)
-    )
+    agrees = is_compatible(expr.type, first.type)
+    if dims_only and Kind.BAD not in (first.type.kind, expr.type.kind):
+        agrees = first.type.dim == expr.type.dim
     if agrees:
         return expr
     report_disagreement(scope.report, called, node.span, (first_node, first), (node, expr))

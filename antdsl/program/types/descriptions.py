@@ -145,11 +145,8 @@ def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
         if actual.kind in (Kind.ITEM, Kind.AGENT, Kind.ITEMS, Kind.SPECIES, Kind.PLACE, Kind.CURVE):
             return f"`direction({short})` is the push toward it"
         if actual.kind is Kind.NUMBER:
-            return (
-                f"a push needs a direction: `heading * {short}`"
-                if actual.dim == Dim()
-                else "a push needs a direction, such as `heading`"
-            )
+            sample = f": `heading * {short}`" if actual.dim == Dim() else ", such as `heading`"
+            return f"a push needs a direction{sample}"
     if expected.kind is Kind.NUMBER and actual.kind is Kind.VECTOR:
         return f"`length({short})` is a number"
     if expected.kind is Kind.NUMBER and actual.kind in (Kind.ITEM, Kind.AGENT, Kind.PLACE):
