@@ -185,9 +185,8 @@ def _require_text(words: list[str]) -> None:
             from antdsl.diagnostics.model import printable
 
             display_name = printable(os.fsencode(word).decode(errors="backslashreplace"))
-            raise CommandError(
-                ExitCode.USAGE, f"error: the name `{display_name}` is not UTF-8", "rename the file or folder"
-            ) from None
+            message = f"error: the name `{display_name}` is not UTF-8"
+            raise CommandError(ExitCode.USAGE, message, "rename the file or folder") from None
 
 
 def _require_order(words: list[str]) -> None:

@@ -139,9 +139,8 @@ def export(
             opened_cache = open_cache(cache)
             cache_frames = [f for f in opened_cache.frames() if between is None or between.first <= f <= between.last]
             if not cache_frames:
-                raise CommandError(
-                    ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has"
-                )
+                advice = "`antdsl info CACHE` says which it has"
+                raise CommandError(ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", advice)
             paths = export.paths(word, to, cache_frames)
             if word in export.each:
                 require_writable_folder(to.parent, "--to", *(path.name for path in paths))

@@ -47,9 +47,8 @@ def graph(
         raise CommandError(ExitCode.FINDINGS)
     charts = _select_charts(graphs.charts(program), only)
     if not charts:
-        raise CommandError(
-            ExitCode.FINDINGS, f"error: `{file}` has no species with states", "`antdsl graph` draws states and transitions"
-        )
+        words = f"error: `{file}` has no species with states"
+        raise CommandError(ExitCode.FINDINGS, words, "`antdsl graph` draws states and transitions")
     written, report = graphs.write(charts, chosen)
     exit_on_errors(report)
     assert written is not None

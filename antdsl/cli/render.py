@@ -190,9 +190,8 @@ def _parse_window(text: str) -> Window:
 
     window = Window.of(text)
     if window is None:
-        raise typer.BadParameter(
-            f"`{text}` is not a range of seconds such as `1..2`, of at most {MOST_SECONDS:g}", param_hint="--window"
-        )
+        words = f"`{text}` is not a range of seconds such as `1..2`, of at most {MOST_SECONDS:g}"
+        raise typer.BadParameter(words, param_hint="--window")
     return window
 
 
@@ -230,9 +229,8 @@ def _choose_frames(gallery: Gallery, between: Any, every: int | None, sheet: boo
     if between is not None:
         cache_frames = [frame for frame in cache_frames if between.first <= frame <= between.last]
     if not cache_frames:
-        raise CommandError(
-            ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has"
-        )
+        message = "error: the cache has none of these frames"
+        raise CommandError(ExitCode.INPUT_OUTPUT, message, "`antdsl info CACHE` says which it has")
     if every is not None:
         cache_frames = cache_frames[::every]
         if not sheet or film or len(cache_frames) <= MOST:

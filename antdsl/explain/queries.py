@@ -53,9 +53,8 @@ def _require_species(cache: Cache, requested_species: str | None) -> str:
             return names[0]
         raise ExplainError(f"`{cache.folder}` has more than one species", f"name one with `--species`: {listed}", usage=True)
     near = nearest_name(requested_species, names)
-    raise ExplainError(
-        f"no species `{requested_species}`", f"did you mean `{near}`?" if near else f"the species are: {listed}", usage=True
-    )
+    words = f"no species `{requested_species}`"
+    raise ExplainError(words, f"did you mean `{near}`?" if near else f"the species are: {listed}", usage=True)
 
 
 def _require_frame(cache: Cache, frame: int) -> None:

@@ -83,9 +83,8 @@ def _demand_frames(path: Path, count: int) -> None:
     except RuntimeError:
         frame_count = 0
     if frame_count < count or not _is_complete(path):
-        raise OSError(
-            errno.EIO, f"{min(frame_count, count - 1)} of {count} frames reached the disk, which may be full", str(path)
-        )
+        words = f"{min(frame_count, count - 1)} of {count} frames reached the disk, which may be full"
+        raise OSError(errno.EIO, words, str(path))
 
 
 def _is_complete(path: Path) -> bool:

@@ -85,9 +85,8 @@ def scalar_of_agent(w: Writer, e: model.Expr | None, set_expr: model.SetOf) -> N
         raise PlanError(f"a set without its size: {set_expr.span.text!r}")
     node = scalar(w, e)
     if node.rate > Rate.AGENT:
-        raise UnsupportedConstruct(
-            "a set with a size that depends on an element of another set", e.span, "use a size that depends only on the agent"
-        )
+        words = "a set with a size that depends on an element of another set"
+        raise UnsupportedConstruct(words, e.span, "use a size that depends only on the agent")
     return node
 
 
