@@ -7,20 +7,7 @@ from typing import Any
 
 from antdsl.loading import find_library
 from antdsl.lsp import samples
-from antdsl.lsp.words import (
-    FORM_HELP,
-    INNER_WORDS,
-    PLAY_HELP,
-    SCENE_KEYS,
-    SETTINGS,
-    STEPS,
-    TYPE_HELP,
-    UNIT_HELP,
-    VALUES,
-    WHOLES,
-    WORDS_OF_STATES,
-    Word,
-)
+from antdsl.lsp import words as tables
 from antdsl.program.expectations import GEOMETRY, MOTION
 from antdsl.program.kinds import Dim
 from antdsl.program.names.bindings import Key
@@ -108,7 +95,8 @@ def _reducer(key: Key) -> str | None:
 
 
 def _describe_form(key: Key) -> str | None:
-    return markdown(f"{key[1]}(…)\n{WHOLES[key[1]].sample}", WHOLES[key[1]].help) if key[1] in WHOLES else None
+    row = tables.WHOLES.get(key[1])
+    return None if row is None else markdown(f"{key[1]}(…)\n{row.sample}", row.help)
 
 
 def _builtin_argument(key: Key) -> str | None:
@@ -122,7 +110,7 @@ def _builtin_argument(key: Key) -> str | None:
 
 def _word(key: Key) -> str | None:
     word = key[1]
-    row = WORDS_OF_STATES.get(word) or VALUES.get(word)
+    row = tables.WORDS_OF_STATES.get(word) or tables.VALUES.get(word)
     type = vocabulary.RUN_NAMES.get(word) or vocabulary.SENSED_NAMES.get(word)
     return None if row is None else markdown(f"{word}: {type}\n{row.sample}" if type else row.sample, row.help)
 
@@ -137,8 +125,8 @@ def _unit(key: Key) -> str | None:
     factor = known.factor / base_unit.factor if base_unit is not None else known.factor  # angles are in radians behind `deg`
     worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not known.u and not known.step else ""
     rate = f"so much a second: `x += 3 {key[1]}` in a state" if known.dim.time == -1 and not known.step else ""
-    of_steps = "" if not known.step or key[1] in UNIT_HELP else STEPS
-    return markdown(f"3 {key[1]}", dimension_words(known.dim), UNIT_HELP.get(key[1], ""), worth, rate, of_steps)
+    of_steps = "" if not known.step or key[1] in tables.UNIT_HELP else tables.STEPS
+    return markdown(f"3 {key[1]}", dimension_words(known.dim), tables.UNIT_HELP.get(key[1], ""), worth, rate, of_steps)
 
 
 def _make_typed_word_rule(table: Any, what: str, form: str) -> Rule:
@@ -148,7 +136,7 @@ def _make_typed_word_rule(table: Any, what: str, form: str) -> Rule:
     return rule
 
 
-def _make_word_rule(table: Mapping[str, Word | KindOfThing], what: str, notation: str = "ant") -> Rule:
+def _make_word_rule(table: Mapping[str, tables.Word | KindOfThing], what: str, notation: str = "ant") -> Rule:
     def rule(key: Key) -> str | None:
         row = table.get(key[1])
         return None if row is None else markdown(row.sample, row.help, what, notation=notation)
@@ -160,11 +148,11 @@ def describe_keyword(word: str, begins: bool) -> str | None:
     """Return the description of a keyword, or None. A word that begins a line differs from the same word inside one: `on spawn {
     … }`, `field trail on ground`."""
     if not begins:
-        return markdown(INNER_WORDS[word].sample, INNER_WORDS[word].help) if word in INNER_WORDS else None
-    if word not in FORM_HELP:
+        return markdown(tables.INNER_WORDS[word].sample, tables.INNER_WORDS[word].help) if word in tables.INNER_WORDS else None
+    if word not in tables.FORM_HELP:
         return None
     form = FORMS.get(word, "when touching(meal) take 1 load from meal -> carry" if word == "take" else word)
-    return markdown(form.replace("` or `", "\n"), FORM_HELP[word])
+    return markdown(form.replace("` or `", "\n"), tables.FORM_HELP[word])
 
 
 def _type_word(key: Key) -> str | None:
@@ -173,7 +161,7 @@ def _type_word(key: Key) -> str | None:
         return None
     unit = default_unit(known) if isinstance(known, Dim) else ""
     return markdown(
-        f"behaviour mine(x: {key[1]}) -> push {{ … }}", f"numbers in `{unit}`" if unit else TYPE_HELP[key[1]], "a type"
+        f"behaviour mine(x: {key[1]}) -> push {{ … }}", f"numbers in `{unit}`" if unit else tables.TYPE_HELP[key[1]], "a type"
     )
 
 
@@ -189,7 +177,7 @@ def _colour(key: Key) -> str | None:
 LANGUAGE: dict[str, Rule] = {
     "given": _describe_built_in, "builtin": _builtin, "builtin-argument": _builtin_argument, "word": _word, "unit": _unit,
     "steered": _steered, "event": _event, "element": _element,
-    "setting": _make_word_rule(SETTINGS, "setting of a field"),
+    "setting": _make_word_rule(tables.SETTINGS, "setting of a field"),
     "kind": _make_word_rule(KINDS_OF_THINGS, "kind of thing of the world"), "type": _type_word,
     "item-given": _make_typed_word_rule(vocabulary.ITEM_ATTRIBUTES, "every item has it", "nearest(food).{}"),
     "hit-given": _make_typed_word_rule(
@@ -197,27 +185,27 @@ LANGUAGE: dict[str, Rule] = {
     ),
     "motion": _make_typed_word_rule(MOTION, "how the crowd moves", "motion.{}"),
     "geometry": _make_typed_word_rule(GEOMETRY, "how an animal's body stands: for specs", "any({} > 0)"),
-    "scene": _make_word_rule(SCENE_KEYS, "key of a scene", "yaml"), "colour": _colour,
+    "scene": _make_word_rule(tables.SCENE_KEYS, "key of a scene", "yaml"), "colour": _colour,
     "body": lambda key: markdown(key[1], "a clip, layer, channel or group of joints of the body that a scene gives the animal"),
 }  # fmt: skip
 # What a bare word may mean: in words, the table it stands in, and the rule that tells it.
 _MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (
-    ("begins a line", FORM_HELP, lambda key: describe_keyword(key[1], True)),
-    ("inside a line", INNER_WORDS, lambda key: describe_keyword(key[1], False)),
+    ("begins a line", tables.FORM_HELP, lambda key: describe_keyword(key[1], True)),
+    ("inside a line", tables.INNER_WORDS, lambda key: describe_keyword(key[1], False)),
     ("a call", vocabulary.BUILTINS, _called),
     ("of a set", vocabulary.REDUCERS, _reducer),
-    ("of all agents, in a spec", WHOLES, _describe_form),
+    ("of all agents, in a spec", tables.WHOLES, _describe_form),
     ("every animal has it", vocabulary.BUILTIN_ATTRIBUTES, _describe_built_in),
-    ("a value", {**WORDS_OF_STATES, **VALUES}, _word),
+    ("a value", {**tables.WORDS_OF_STATES, **tables.VALUES}, _word),
     ("a unit", vocabulary.UNITS, _unit),
     ("kind of thing of the world", KINDS_OF_THINGS, LANGUAGE["kind"]),
-    ("setting of a field", SETTINGS, LANGUAGE["setting"]),
+    ("setting of a field", tables.SETTINGS, LANGUAGE["setting"]),
     ("a type", vocabulary.TYPE_WORDS, _type_word),
     ("what a ray met has it", vocabulary.HIT_ATTRIBUTES, LANGUAGE["hit-given"]),
     ("every item has it", vocabulary.ITEM_ATTRIBUTES, LANGUAGE["item-given"]),
     ("how the crowd moves", MOTION, LANGUAGE["motion"]),
     ("how an animal's body stands: for specs", GEOMETRY, LANGUAGE["geometry"]),
-    ("key of a scene", SCENE_KEYS, LANGUAGE["scene"]),
+    ("key of a scene", tables.SCENE_KEYS, LANGUAGE["scene"]),
     ("a colour", COLOURS, _colour),
     ("an event", EVENTS, _event),
 )
@@ -227,8 +215,8 @@ def words() -> set[str]:
     """Return all words that `about` knows. Of units, compound ones are left out."""
     own = {word for _, node in _library() for word in (node.name.text, *(argument.name.text for argument in node.arguments))}
     arguments = {arg.name for rows in vocabulary.BUILTINS.values() for row in rows for arg in row.args}
-    tables = {word for _, table, _ in _MEANINGS for word in table}
-    return {*tables, *own, *arguments, *library_names(), *vocabulary.RESERVED}
+    meant = {word for _, table, _ in _MEANINGS for word in table}
+    return {*meant, *own, *arguments, *library_names(), *vocabulary.RESERVED}
 
 
 def explain_word(word: str) -> str | None:
@@ -268,8 +256,8 @@ def _arguments(word: str) -> Iterator[str]:
         for row in rows:
             if any(arg.name == word for arg in row.args):
                 yield markdown(f"{builtin_form(called, row)}\n{samples.CALL_FORMS[called]}", f"argument of `{called}`")
-    if word in PLAY_HELP:
-        yield markdown(f"play CLIP({word}: …)\n{PLAY_HELP[word]}", "argument of `play`")
+    if word in tables.PLAY_HELP:
+        yield markdown(f"play CLIP({word}: …)\n{tables.PLAY_HELP[word]}", "argument of `play`")
     for _, node in _library():
         if any(argument.name.text == word for argument in node.arguments):
             yield markdown(signature(node), f"argument of `{node.name.text}`")
