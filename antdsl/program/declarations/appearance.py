@@ -8,8 +8,8 @@ from dataclasses import replace
 from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block
-from antdsl.program.kinds import Dim, Kind, Type
-from antdsl.program.names.scope import NUMBER, TIME, Scope
+from antdsl.program.kinds import NUMBER, TIME, Dim, Kind, Type
+from antdsl.program.names.scope import Scope
 from antdsl.program.typed import Expr
 from antdsl.program.types.arguments import Slot, arrange_arguments, place, type_arguments
 from antdsl.program.types.folding import constant_behind

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block, amount_or_rate
-from antdsl.program.kinds import Kind, Type
+from antdsl.program.kinds import BAD, Kind, Type
 from antdsl.program.names.collect import EVENTS
-from antdsl.program.names.scope import BAD, Scope, bad_expression, did_you_mean, is_known_missing, type_from_words
+from antdsl.program.names.scope import Scope, bad_expression, did_you_mean, is_known_missing, type_from_words
 from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.effects import EFFECTS, Effect
 from antdsl.program.tables.rows import Arg

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program import model
 from antdsl.program.declarations.behaviours import declared_type
+from antdsl.program.kinds import BAD
 from antdsl.program.model import Expr, Kind
 from antdsl.program.names.ordering import order_declarations
 from antdsl.program.names.scope import (
-    BAD,
     Scope,
     StableKeys,
     bad_expression,

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
+from antdsl.program.kinds import BAD
 from antdsl.program.model import Binding, Expr, InlinedBehaviour, Kind, Op, Rate, Type
 from antdsl.program.names.scope import (
-    BAD,
     BehaviourInfo,
     Declared,
     Scope,

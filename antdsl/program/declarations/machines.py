@@ -11,19 +11,10 @@ from antdsl.program import model
 from antdsl.program.declarations.amounts import ACTION, BODY
 from antdsl.program.declarations.appearance import check_duplicates, check_single_clip
 from antdsl.program.declarations.statements import check_statements, take
+from antdsl.program.kinds import NUMBER, TIME
 from antdsl.program.memo import cached_part
 from antdsl.program.model import Binding, Expr
-from antdsl.program.names.scope import (
-    NUMBER,
-    TIME,
-    MachineNames,
-    Scope,
-    StableKeys,
-    bad_expression,
-    did_you_mean,
-    list_names,
-    report_duplicate,
-)
+from antdsl.program.names.scope import MachineNames, Scope, StableKeys, bad_expression, did_you_mean, list_names, report_duplicate
 from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
 from antdsl.program.declarations.behaviours import declared_type
+from antdsl.program.kinds import BAD
 from antdsl.program.model import Const, Kind, Type
-from antdsl.program.names.scope import BAD, Scope
+from antdsl.program.names.scope import Scope
 from antdsl.program.tables.units import constant, default_unit, dimension_words, number, unit_spelling
 from antdsl.program.tables.vocabulary import UNITS
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from antdsl import limits
+from antdsl.program.kinds import BAD, BOOL, NUMBER
 from antdsl.program.model import Expr, Kind
-from antdsl.program.names.scope import BAD, BOOL, NUMBER, Scope, bad_expression
+from antdsl.program.names.scope import Scope, bad_expression
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import op, truth, value, value_of_type

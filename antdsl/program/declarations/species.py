@@ -16,15 +16,12 @@ from antdsl.program.declarations.params import param
 from antdsl.program.declarations.resting import rest
 from antdsl.program.declarations.shades import fuzzy_mean
 from antdsl.program.declarations.statements import check_statements
+from antdsl.program.kinds import BAD, BOOL, PUSH, TIME
 from antdsl.program.memo import cached_part
 from antdsl.program.model import Binding, Dim, Kind, Rate, Type
 from antdsl.program.names.collect import EVENTS, check_free_in_species
 from antdsl.program.names.ordering import order_declarations
 from antdsl.program.names.scope import (
-    BAD,
-    BOOL,
-    PUSH,
-    TIME,
     Declared,
     FileNames,
     Scope,

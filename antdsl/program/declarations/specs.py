@@ -18,8 +18,9 @@ from antdsl.program.expectations import (
     Spec,
     SpecChange,
 )
+from antdsl.program.kinds import NUMBER, TIME
 from antdsl.program.model import Expr, Field, Kind, Op, Param, Rate
-from antdsl.program.names.scope import NUMBER, TIME, Declared, FileNames, Scope, StableKeys, did_you_mean, list_names
+from antdsl.program.names.scope import Declared, FileNames, Scope, StableKeys, did_you_mean, list_names
 from antdsl.program.tables.units import default_unit, measure
 from antdsl.program.tables.vocabulary import DRAWS
 from antdsl.program.traverse import parts, written_nodes

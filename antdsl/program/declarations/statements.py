@@ -10,8 +10,9 @@ from antdsl.program import model
 from antdsl.program.declarations.amounts import Block, amount_or_rate
 from antdsl.program.declarations.appearance import channel, look, play, wear
 from antdsl.program.declarations.asks import ask
+from antdsl.program.kinds import NUMBER, PUSH
 from antdsl.program.model import Expr, Kind, Type
-from antdsl.program.names.scope import NUMBER, PUSH, Scope, did_you_mean, list_names, type_from_words
+from antdsl.program.names.scope import Scope, did_you_mean, list_names, type_from_words
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES
 from antdsl.program.types.arguments import place
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words

@@ -7,13 +7,10 @@ from collections.abc import Callable
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.program import model
+from antdsl.program.kinds import LENGTH, NUMBER, PER_SECOND, TIME
 from antdsl.program.model import Const, Dim, Expr, Kind, Rate, Type
 from antdsl.program.names.collect import check_free
 from antdsl.program.names.scope import (
-    LENGTH,
-    NUMBER,
-    PER_SECOND,
-    TIME,
     Declared,
     FileNames,
     Scope,

@@ -8,6 +8,7 @@ from typing import Any
 
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.kinds import BAD
 from antdsl.program.memo import Memo
 from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, ThingRef, Type, WorldThing
 from antdsl.program.names.bindings import NameUse
@@ -16,15 +17,6 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 Rules = Mapping[type, Callable[["Scope", object, "Type | None"], Expr]]
-
-BAD = Type(Kind.BAD)
-NUMBER = Type(Kind.NUMBER)
-BOOL = Type(Kind.BOOL)
-PUSH = Type(Kind.VECTOR)
-VELOCITY = Type(Kind.VECTOR, Dim(length=1, time=-1))
-LENGTH = Type(Kind.NUMBER, Dim(length=1))
-TIME = Type(Kind.NUMBER, Dim(time=1))
-PER_SECOND = Type(Kind.NUMBER, Dim(time=-1))
 
 
 @dataclass(slots=True)

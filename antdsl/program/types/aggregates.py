@@ -8,18 +8,9 @@ from dataclasses import replace
 from typing import cast
 
 from antdsl.program.expectations import GEOMETRY, MOTION, Aggregate, AtStart, BodyMeasure, CellValue, MotionMeasure, OtherRun
+from antdsl.program.kinds import BOOL, NUMBER
 from antdsl.program.model import Binding, BindingRef, Dim, Expr, Kind, ParamRef, Rate, Reduce, ThingRef, Type
-from antdsl.program.names.scope import (
-    BOOL,
-    NUMBER,
-    Declared,
-    Scope,
-    attributes_of,
-    bad_expression,
-    did_you_mean,
-    list_names,
-    type_from_words,
-)
+from antdsl.program.names.scope import Declared, Scope, attributes_of, bad_expression, did_you_mean, list_names, type_from_words
 from antdsl.program.tables.set_senses import GIVES_SET
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, SENSED_NAMES
 from antdsl.program.traverse import written_nodes

@@ -7,8 +7,9 @@ from typing import cast
 
 from antdsl.diagnostics import Fix
 from antdsl.program.declarations.behaviours import call_behaviour
+from antdsl.program.kinds import BAD, NUMBER
 from antdsl.program.model import Dim, Expr, Kind, Op, Rate, Type
-from antdsl.program.names.scope import BAD, NUMBER, Scope, bad_expression, did_you_mean, rate_of, type_from_words
+from antdsl.program.names.scope import Scope, bad_expression, did_you_mean, rate_of, type_from_words
 from antdsl.program.tables import vocabulary
 from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.other_words import call_replacement

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from antdsl import limits
 from antdsl.diagnostics import Fix
+from antdsl.program.kinds import BAD, BOOL
 from antdsl.program.model import (
     Attribute,
     Binding,
@@ -23,8 +24,6 @@ from antdsl.program.model import (
 )
 from antdsl.program.names.missing import missing_thing
 from antdsl.program.names.scope import (
-    BAD,
-    BOOL,
     Scope,
     attributes_of,
     bad_expression,

@@ -3,19 +3,9 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Fix
+from antdsl.program.kinds import BAD, BOOL, NUMBER, PER_SECOND, PUSH, VELOCITY
 from antdsl.program.model import Const, Expr, Kind, Op, Rate, Type
-from antdsl.program.names.scope import (
-    BAD,
-    BOOL,
-    NUMBER,
-    PER_SECOND,
-    PUSH,
-    VELOCITY,
-    Scope,
-    bad_expression,
-    rate_of,
-    type_from_words,
-)
+from antdsl.program.names.scope import Scope, bad_expression, rate_of, type_from_words
 from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.units import combine_dimensions, scale_dimension
 from antdsl.program.tables.vocabulary import SIGN_OPS

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from antdsl.program.kinds import BOOL, LENGTH, NUMBER
 from antdsl.program.model import Binding, Const, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
-from antdsl.program.names.scope import BOOL, LENGTH, NUMBER, Scope, bad_expression, type_from_words
+from antdsl.program.names.scope import Scope, bad_expression, type_from_words
 from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.traverse import bindings_in

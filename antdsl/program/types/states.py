@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.kinds import BOOL, TIME
 from antdsl.program.model import Attribute, ClipTest, Expr, Kind, Rate, StateConst, ThingRef, Type
-from antdsl.program.names.scope import BOOL, TIME, MachineNames, Scope, bad_expression, did_you_mean, is_known_missing, list_names
+from antdsl.program.names.scope import MachineNames, Scope, bad_expression, did_you_mean, is_known_missing, list_names
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
