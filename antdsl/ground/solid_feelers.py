@@ -56,7 +56,7 @@ class SolidFeelers:
 
         A ray hits where it enters the solid. A ray that starts inside, or along the surface under its agent, counts as free at
         its start."""
-        origin, direction = (np.stack(v, axis=1).astype(np.float64) for v in (positions, directions))
+        origin, direction = (np.stack(list(v), axis=1).astype(np.float64) for v in (positions, directions))
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
         voxel, through = self.volume.voxel, -_THROUGH * self.volume.voxel

@@ -265,7 +265,7 @@ def _prepare_rename(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | 
 def _rename(ls: Server, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
     def answer(document: Document, offset: int) -> lsp.WorkspaceEdit:
         try:
-            locations = navigation.rename(ls.files, document, offset, params.new_name)
+            locations = navigation.rename_symbol(ls.files, document, offset, params.new_name)
         except navigation.RenameRefused as why:
             raise JsonRpcInvalidParams(str(why)) from None
         edits: dict[Path, list[lsp.TextEdit]] = {}

@@ -195,7 +195,7 @@ _WALK = "crowd: [{species: forager, from: forager.ant, count: 1, walk: {directio
 
 
 def _crowd(part: str) -> str:
-    """A crowd whose line has one more part."""
+    """A crowd with one more part in its line."""
     return f"crowd: [{{species: forager, from: forager.ant, count: 50, {part}}}]"
 
 

@@ -123,16 +123,16 @@ entry:
   br i1 %is.array, label %look, label %none
 look:
   %dtype = call i64 @word(ptr %object, i64 $DTYPE$)
-  %dtype.wanted = call i64 @word(ptr %step, i64 32)
+  %dtype.expected = call i64 @word(ptr %step, i64 32)
   %axes.wide = call i64 @word(ptr %object, i64 $AXES$)
   %axes = and i64 %axes.wide, 4294967295
-  %axes.wanted = call i64 @word(ptr %step, i64 40)
+  %axes.expected = call i64 @word(ptr %step, i64 40)
   %flags = call i64 @word(ptr %object, i64 $FLAGS$)
-  %flags.wanted = call i64 @word(ptr %step, i64 48)
-  %flags.there = and i64 %flags, %flags.wanted
-  %same.dtype = icmp eq i64 %dtype, %dtype.wanted
-  %same.axes = icmp eq i64 %axes, %axes.wanted
-  %same.flags = icmp eq i64 %flags.there, %flags.wanted
+  %flags.expected = call i64 @word(ptr %step, i64 48)
+  %flags.there = and i64 %flags, %flags.expected
+  %same.dtype = icmp eq i64 %dtype, %dtype.expected
+  %same.axes = icmp eq i64 %axes, %axes.expected
+  %same.flags = icmp eq i64 %flags.there, %flags.expected
   %some = and i1 %same.dtype, %same.axes
   %all = and i1 %some, %same.flags
   br i1 %all, label %good, label %none
@@ -173,20 +173,20 @@ done:
 none:
   ret i1 false
 }
-define internal ptr @call(ptr %told, ptr %table, ptr %here) {
+define internal ptr @call(ptr %description, ptr %table, ptr %here) {
   %gone.call = call ptr @call.PyEval_SaveThread(ptr %here)
   %thread = call ptr %gone.call()
-  %code = call ptr @object(ptr %told, i64 0)
+  %code = call ptr @object(ptr %description, i64 0)
   call void %code(ptr %table, i64 0, i64 0)
   %back.call = call ptr @call.PyEval_RestoreThread(ptr %here)
   call void %back.call(ptr %thread)
-  %found = call ptr @given(ptr %told, ptr %table, ptr %here)
+  %found = call ptr @given(ptr %description, ptr %table, ptr %here)
   ret ptr %found
 }
 ; The same by the workers of a pool, which stands behind the arguments and the number of parts: a list of what each part gave.
-define internal ptr @parted(ptr %told, ptr %table, ptr %here, ptr %run) {
+define internal ptr @parted(ptr %description, ptr %table, ptr %here, ptr %run) {
 entry:
-  %words = call i64 @word(ptr %told, i64 56)
+  %words = call i64 @word(ptr %description, i64 56)
   %parts.at = getelementptr i64, ptr %table, i64 %words
   %parts = load i64, ptr %parts.at
   %pool.at = getelementptr i64, ptr %parts.at, i64 1
@@ -199,7 +199,7 @@ entry:
 work:
   %gone.call = call ptr @call.PyEval_SaveThread(ptr %here)
   %thread = call ptr %gone.call()
-  %code = call ptr @object(ptr %told, i64 0)
+  %code = call ptr @object(ptr %description, i64 0)
   call void %run(ptr %pool, ptr %code, ptr %table, i64 %words, i64 %parts)
   %back.call = call ptr @call.PyEval_RestoreThread(ptr %here)
   call void %back.call(ptr %thread)
@@ -209,7 +209,7 @@ fill:
   %row = mul i64 %k, $GIVEN.STEP$
   %from.pool = add i64 %row, $GIVEN$
   %from = getelementptr i8, ptr %pool, i64 %from.pool
-  %item = call ptr @given(ptr %told, ptr %from, ptr %here)
+  %item = call ptr @given(ptr %description, ptr %from, ptr %here)
   %none = icmp eq ptr %item, null
   br i1 %none, label %undo, label %good
 undo:
@@ -225,9 +225,9 @@ end:
   ret ptr %list
 }
 ; What a table's first words are as an object.
-define internal ptr @given(ptr %told, ptr %table, ptr %here) {
+define internal ptr @given(ptr %description, ptr %table, ptr %here) {
 entry:
-  %gives = call i64 @word(ptr %told, i64 32)
+  %gives = call i64 @word(ptr %description, i64 32)
   switch i64 %gives, label %several [ i64 0, label %nothing  i64 1, label %one ]
 nothing:
   %none = call ptr @None(ptr %here)
@@ -235,7 +235,7 @@ nothing:
   call void %increase(ptr %none)
   ret ptr %none
 one:
-  %kind = call i64 @word(ptr %told, i64 64)
+  %kind = call i64 @word(ptr %description, i64 64)
   %single = call ptr @made(ptr %here, i64 %kind, ptr %table)
   ret ptr %single
 several:
@@ -246,7 +246,7 @@ several:
   br i1 %failed, label %end, label %fill
 fill:
   %k = phi i64 [ 0, %several ], [ %next, %fill ]
-  %kind.at = getelementptr i64, ptr %told, i64 %k
+  %kind.at = getelementptr i64, ptr %description, i64 %k
   %kind.k = call i64 @word(ptr %kind.at, i64 64)
   %from = getelementptr i64, ptr %table, i64 %k
   %item = call ptr @made(ptr %here, i64 %kind.k, ptr %from)
@@ -261,12 +261,12 @@ define ptr @direct(ptr %self, ptr %given, i64 %count) {
 entry:
   %table = alloca [$WORDS$ x i64], align 16
   %stack = alloca [$DEPTH$ x ptr]
-  %told = getelementptr i8, ptr %self, i64 $TOLD$
-  %here = call ptr @object(ptr %told, i64 40)
-  %wanted = call i64 @word(ptr %told, i64 8)
-  %steps = call i64 @word(ptr %told, i64 24)
+  %description = getelementptr i8, ptr %self, i64 $DESCRIPTION$
+  %here = call ptr @object(ptr %description, i64 40)
+  %count.expected = call i64 @word(ptr %description, i64 8)
+  %steps = call i64 @word(ptr %description, i64 24)
   store ptr %given, ptr %stack
-  %as.many = icmp eq i64 %count, %wanted
+  %as.many = icmp eq i64 %count, %count.expected
   br i1 %as.many, label %argument, label %slow
 argument:
   %k = phi i64 [ 0, %entry ], [ %next, %good ]
@@ -275,7 +275,7 @@ argument:
 look:
   %behind = mul i64 %k, $STEP$
   %from = add i64 %behind, $FIRST$
-  %step = getelementptr i8, ptr %told, i64 %from
+  %step = getelementptr i8, ptr %description, i64 %from
   %what = call i64 @word(ptr %step, i64 0)
   %depth = call i64 @word(ptr %step, i64 8)
   %index = call i64 @word(ptr %step, i64 16)
@@ -315,17 +315,17 @@ good:
   %next = add i64 %k, 1
   br label %argument
 ready:
-  %run = call ptr @object(ptr %told, i64 48)
+  %run = call ptr @object(ptr %description, i64 48)
   %alone = icmp eq ptr %run, null
   br i1 %alone, label %at.once, label %apart
 at.once:
-  %made = call ptr @call(ptr %told, ptr %table, ptr %here)
+  %made = call ptr @call(ptr %description, ptr %table, ptr %here)
   ret ptr %made
 apart:
-  %parts = call ptr @parted(ptr %told, ptr %table, ptr %here, ptr %run)
+  %parts = call ptr @parted(ptr %description, ptr %table, ptr %here, ptr %run)
   ret ptr %parts
 slow:
-  %otherwise = call ptr @object(ptr %told, i64 16)
+  %otherwise = call ptr @object(ptr %description, i64 16)
   %vectorcall = call ptr @call.PyObject_Vectorcall(ptr %here)
   %found = call ptr %vectorcall(ptr %otherwise, ptr %given, i64 %count, ptr null)
   ret ptr %found

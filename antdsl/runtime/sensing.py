@@ -194,7 +194,7 @@ def _feel_scene(
         if not len(sound):
             return
         row, ask_numbers, size, far = (v.take(sound) for v in (row, ask_numbers, size, far))
-        positions, directions = tuple(v.take(row) for v in place), tuple(v.take(sound) / size for v in (wx, wy, wz))
+        positions, directions = [v.take(row) for v in place], [v.take(sound) / size for v in (wx, wy, wz)]
         hits = scene.cast_feelers(positions, directions, far, threads)
     for each, _ in left:
         own = (ask_numbers == each).nonzero()[0]

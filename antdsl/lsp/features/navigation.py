@@ -191,7 +191,7 @@ def renamable_name(workspace: Workspace, document: Document, offset: int) -> Occ
     return occurrence
 
 
-def rename(workspace: Workspace, document: Document, offset: int, new: str) -> list[NameLocation]:
+def rename_symbol(workspace: Workspace, document: Document, offset: int, new: str) -> list[NameLocation]:
     """Return all positions that a new name must be written to. Names that `take` and `give` bind together are renamed
     together."""
     first = renamable_name(workspace, document, offset)

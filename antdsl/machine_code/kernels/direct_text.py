@@ -39,12 +39,12 @@ def bytes_offset() -> int:
 
 @library_text
 def text(_: machine.Target) -> str:
-    """Return `PyObject *direct(PyObject *told, PyObject *const *given, Py_ssize_t count)` in LLVM's language."""
+    """Return `PyObject *direct(PyObject *description, PyObject *const *given, Py_ssize_t count)` in LLVM's language."""
     head = object.__basicsize__
     names = (*(f"call.{name}" for name in CALLS), *OBJECTS)
     readers = (_reader_text(name, number) for number, name in enumerate(names))
     code_text = read_language("direct.ll") + "\n".join([*readers, ""])
-    values = {"HEAD": head, "TYPE": head - 8, "TOLD": bytes_offset(), "INSIDE": tuple.__basicsize__}
+    values = {"HEAD": head, "TYPE": head - 8, "DESCRIPTION": bytes_offset(), "INSIDE": tuple.__basicsize__}
     values |= {"WORDS": WORDS, "DEPTH": DEPTH}
     values |= {"AXES": head + 8, "LENGTHS": head + 16, "STEPS": head + 24, "DTYPE": head + 40, "FLAGS": head + 48}
     values |= {"STEP": 8 * STEP, "FIRST": 8 * HEADER, "ARRAY": ARRAY, "TUPLE": TUPLE}

@@ -1,4 +1,4 @@
-"""Layers without a line for what states steer, lines that no strength is ever left for, and lines whose condition never holds."""
+"""Layers without a line for what states steer, and lines without effect: no strength is left, or a condition never holds."""
 
 from __future__ import annotations
 

@@ -93,11 +93,11 @@ def word(signature: str, help: str, op: str = "", **details: Any) -> Builtin:
 
 
 def _argument(text: str) -> Arg:
-    found = _ARG.fullmatch(text)
-    assert found is not None, text
-    above = None if found["above"] is None else float(found["above"])
-    optional, variadic, is_integer = (bool(found[each]) for each in ("optional", "variadic", "whole"))
-    return Arg(found["name"], found["type"], found["default"], optional, variadic, above, is_integer)
+    parts = _ARG.fullmatch(text)
+    assert parts is not None, text
+    above = None if parts["above"] is None else float(parts["above"])
+    optional, variadic, is_integer = (bool(parts[each]) for each in ("optional", "variadic", "whole"))
+    return Arg(parts["name"], parts["type"], parts["default"], optional, variadic, above, is_integer)
 
 
 @dataclass(frozen=True, slots=True)
