@@ -32,15 +32,10 @@ def body(
         None,
         "--to",
         metavar="FILE",
-        show_default=False,
         help="Write it: a .glb or .gltf file, or a .json definition with the folder of its parts beside it.",
     ),
     layer: str = typer.Option(
-        "",
-        "--layer",
-        metavar="NAME",
-        help="For .glb and .gltf: the layer of shapes to write. [default: the drawn one]",
-        show_default=False,
+        "", "--layer", metavar="NAME", help="For .glb and .gltf: the layer of shapes to write. [default: the drawn one]"
     ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print findings only."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),

@@ -7,7 +7,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from antdsl.lsp.features.proposals import Item
-from antdsl.lsp.words import SCENE_HELP
+from antdsl.lsp.language import help_text
+from antdsl.lsp.words import scene_key_help
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.names.declared import declaration
 from antdsl.program.tables.things import KINDS_OF_THINGS, WITH_FACES
@@ -110,7 +111,7 @@ def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line:
 def _fields(part: type[model.Part]) -> Iterator[Item]:
     for name, field in part.model_fields.items():
         key = field.alias or name
-        yield Item(key, "property", "must be given" if field.is_required() else "", SCENE_HELP.get(key, ""), f"{key}: ")
+        yield Item(key, "property", "must be given" if field.is_required() else "", scene_key_help(key), f"{key}: ")
 
 
 def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> Iterator[Item]:
@@ -118,9 +119,7 @@ def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> I
     if len(path) == 1:
         for name, item in things.items():
             form = KINDS_OF_THINGS[item.kind.text].snippet if item.kind.text in KINDS_OF_THINGS else ""
-            yield Item(
-                name, "thing", item.kind.text, item.help.text if item.help is not None else "", f"{name}: {form}", bool(form)
-            )
+            yield Item(name, "thing", item.kind.text, help_text(item), f"{name}: {form}", bool(form))
         return
     thing = things.get(path[1])
     if thing is not None and thing.kind.text == "items":
@@ -130,7 +129,7 @@ def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> I
                 yield Item(each.name.text, "property", f"value of {path[1]}", "", f"{each.name.text}: ")
         return
     for head, part in model.THING_MODELS.items():
-        yield Item(head, "property", "says what it is", SCENE_HELP.get(head, ""), f"{head}: ")
+        yield Item(head, "property", "says what it is", scene_key_help(head), f"{head}: ")
         if head == "mesh":
             yield from _fields(part)
 
@@ -143,7 +142,7 @@ def _settings(workspace: Workspace, document: Document) -> Iterator[Item]:
                 if isinstance(member, nodes.ParamDecl):
                     value = " ".join(node.value.span.text.split())
                     bounds = f" in {' '.join(node.range.span.text.split())}" if node.range is not None else ""
-                    help = node.help.text if node.help is not None else ""
+                    help = help_text(node)
                     yield Item(f"{species}.{name}", "property", f"{value}{bounds}", help, f"{species}.{name}: {value}")
         for name, field in program.names.fields.items():
             for setting in field.settings:

@@ -48,6 +48,16 @@ class Type(NamedTuple):
     of: str | None = None
 
 
+BAD = Type(Kind.BAD)
+NUMBER = Type(Kind.NUMBER)
+BOOL = Type(Kind.BOOL)
+PUSH = Type(Kind.VECTOR)
+VELOCITY = Type(Kind.VECTOR, Dim(length=1, time=-1))
+LENGTH = Type(Kind.NUMBER, Dim(length=1))
+TIME = Type(Kind.NUMBER, Dim(time=1))
+PER_SECOND = Type(Kind.NUMBER, Dim(time=-1))
+
+
 class Rate(IntEnum):
     """How often a value changes; an expression has the greatest rate of its parts."""
 

@@ -93,11 +93,9 @@ class Questioner:
         """Return all agents of a species, all items of a name or all cells of a field, to be queried one by one."""
         if name in spec_world.items:
             return self._item_population(spec_world.items[name])
-        return (
-            self._cell_population(spec_world, name)
-            if name in spec_world.fields
-            else self._agent_population(spec_world, spec_world.populations[name])
-        )
+        if name in spec_world.fields:
+            return self._cell_population(spec_world, name)
+        return self._agent_population(spec_world, spec_world.populations[name])
 
     def _cell_population(self, spec_world: World, name: str) -> Population:
         """Cells of a field as if they were agents."""

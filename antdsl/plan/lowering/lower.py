@@ -201,9 +201,8 @@ def _field(builder: Builder, program: model.Program, f: model.Field, report: Rep
     for surface in f.surfaces:
         thing = program.world.get(surface)
         if thing is not None and not KINDS_OF_THINGS[thing.kind].is_ground:
-            report.error(
-                "not-yet", f"a field on the {thing.kind} `{surface}` is not supported yet", f.span, "name surfaces or solids"
-            )
+            message = f"a field on the {thing.kind} `{surface}` is not supported yet"
+            report.error("not-yet", message, f.span, "name surfaces or solids")
     cell = node(f.cell)
     assert cell is not None
     keep, diffuse, limit = _keep(builder, f, node), node(f.diffuse), node(f.limit)

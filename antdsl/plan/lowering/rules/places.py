@@ -163,9 +163,8 @@ def _touching(w: Writer, e: model.Op) -> Value:
             reach = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
             return b("reduce.any", every, b("le", b("pair.distance"), reach))
         if row.nearest == "set.every":
-            raise UnsupportedConstruct(
-                "touching any agent of a species", e.span, f"any(n in neighbours(size, of: {value.name}): touching(n))"
-            )
+            words = "touching any agent of a species"
+            raise UnsupportedConstruct(words, e.span, f"any(n in neighbours(size, of: {value.name}): touching(n))")
     if isinstance(value, Element):
         radius = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
     if isinstance(value, EntityRef):
