@@ -10,9 +10,9 @@ from antdsl.lsp.features.proposals import Item
 from antdsl.lsp.words import SCENE_HELP
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.names.declared import declaration
+from antdsl.program.tables.columns import ATTRIBUTES
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.scene import model
-from antdsl.scene.matching import FRAME_ATTRIBUTES
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIELD_SETTINGS, FIXED_SETTINGS
 
@@ -103,7 +103,7 @@ def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line:
     elif path[:1] == ("fields",):
         yield from _fields(model.FieldStart)
     elif path == ("output", "attributes"):
-        yield from (Item(name, "property", "attribute of a frame") for name in FRAME_ATTRIBUTES)
+        yield from (Item(name, "property", "attribute of a frame") for name in ATTRIBUTES)
     else:
         part_model = next((_PARTS[part] for part in reversed(path) if part in _PARTS), None)
         if part_model is not None:

@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, ConfigDict, Discriminator, Field, Tag
 
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.tables.columns import DEFAULT_ATTRIBUTES
 from antdsl.scene.crowd_model import CrowdLine as CrowdLine
 from antdsl.scene.crowd_model import Placement as Placement
 from antdsl.scene.crowd_model import Walk as Walk
@@ -44,9 +45,6 @@ Orient = Annotated[str, BeforeValidator(one_of("normal", "turns", "probes"))]
 Contacts = Annotated[Literal["off", "soft", "hard"], BeforeValidator(one_of("off", "soft", "hard"))]
 Axis = Annotated[str, BeforeValidator(one_of("y", "z"))]
 Purpose = Annotated[str, BeforeValidator(one_of("render", "proxy"))]
-
-DEFAULT_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state")
-
 
 LOOKS = ("metal", "soil", "leaf", "light", "none")
 Look = Annotated[str, BeforeValidator(one_of(*LOOKS))]  # of things in pictures
