@@ -148,7 +148,8 @@ def _materials(stage: Stage, worn: PosedBody, colour: tuple[float, ...]) -> dict
     """Return the numbers of a body's materials. Triangles without a material have the agent's state colour."""
     state = tuple(float(part) for part in decode_srgb(np.array(colour)))
     own: dict[str, Any] = dict(worn.definition.materials)
+    used = (material for binding in worn.bindings for material in worn.definition.shapes[binding.shape].materials)
     return {
         name: stage.material(name or STATE, own[name] if name in own and name != STATE else state)
-        for name in {"", STATE, *own, *(m for b in worn.bindings for m in worn.definition.shapes[b.shape].materials)}
+        for name in dict.fromkeys(("", STATE, *own, *used))
     }
