@@ -58,11 +58,9 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
             for k, word in enumerate(_event_words(gallery, events)):
                 place = [digits % value for value in events.P[k] + gallery.origin]
                 numbers = [*place, *(f"{value:.9g}" for value in events.N[k])]
-                other = (
-                    [names[events.other_species[k]], events.other[k], f"{events.depth[k]:.9g}"]
-                    if events.other[k] >= 0
-                    else [""] * 3
-                )
+                other: list[object] = [""] * 3
+                if events.other[k] >= 0:
+                    other = [names[events.other_species[k]], events.other[k], f"{events.depth[k]:.9g}"]
                 seconds = f"{(frame - gallery.manifest.first) * gallery.dt:.9g}"
                 rows.append([frame, seconds, events.kind, names[events.species[k]], events.id[k], *numbers, word, *other])
             file.write(csv_text(rows).encode())

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from plans import bare, block, crowd
 
 from antdsl.bodies.agents.machine_clips import EARLIER
-from antdsl.outputs.cache.agent_arrays import AgentArrays, write_colours, write_column, write_numbers
+from antdsl.outputs.cache.agent_arrays import write_colours, write_column, write_numbers, write_orientations
 from antdsl.outputs.cache.frames import _nonzero_cells
 from antdsl.outputs.cache.pose_arrays import _REGISTERS, clips_playing, mark_layer, placed_feet
 from antdsl.outputs.surface_error import _greatest_error, surface_error
@@ -73,7 +73,8 @@ def test_orientations_of_a_frame_turn_the_axes_as_they_say(world: World) -> None
     """+x to the heading, +x where there is none, and +y as near to up as can be."""
     population = world.populations["ant"]
     mixed(population)
-    orientations = AgentArrays(world, 0.1, {}, {}).arrays(world, ("orient",))["orient"][np.argsort(np.argsort(population.ids))]
+    orientations = written(lambda out: write_orientations(world, population, out), (600, 4))
+    orientations = orientations[np.argsort(np.argsort(population.ids))]
     heading, up = (
         np.stack([population.now[f"{name}.{axis}"] for axis in "xyz"], axis=1).astype(np.float64) for name in ("heading", "up")
     )
@@ -167,15 +168,16 @@ def test_who_wears_a_layer() -> None:
 def test_colours_of_states() -> None:
     states = np.random.default_rng(6).integers(0, 5, 300).astype(np.int32)
     ids = np.random.default_rng(8).permutation(300)
-    plan = SimpleNamespace(machines=[SimpleNamespace(name="m")])
-    population = SimpleNamespace(plan=plan, now={"m.state": states}, id_ranks=lambda: ids.astype(np.int32))
     colours = np.random.default_rng(7).random((5, 3)).astype(np.float32)
-    result = written(lambda out: write_colours(population, colours, out), (300, 3))  # type: ignore[arg-type]
+    plan = SimpleNamespace(machines=[SimpleNamespace(name="m", colours=colours)])
+    world = SimpleNamespace(options=SimpleNamespace(threads=1))
+    population = SimpleNamespace(plan=plan, now={"m.state": states}, id_ranks=lambda: ids.astype(np.int32))
+    result = written(lambda out: write_colours(world, population, out), (300, 3))  # type: ignore[arg-type]
     assert np.array_equal(result[ids], colours[states])
     for wrong in (5, -1):
         states[17] = wrong
         with pytest.raises(IndexError):
-            write_colours(population, colours, result)  # type: ignore[arg-type]
+            write_colours(world, population, result)  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(("count", "threads"), [(0, 1), (3, 1), (700, 1), (5_000, 2)])

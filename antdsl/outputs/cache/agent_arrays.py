@@ -24,23 +24,20 @@ class AgentArrays:
     """Builder of the agents' arrays. `scale`: scene units per millimetre. `factors`: multipliers of a species' numbers, 1 by
     default. `pairs`: names for which a species has one value per pair."""
 
-    def __init__(
-        self, world: World, scale: float, factors: Mapping[tuple[str, str], float], pairs: Mapping[str, Container[str]]
-    ) -> None:
+    def __init__(self, scale: float, factors: Mapping[tuple[str, str], float], pairs: Mapping[str, Container[str]]) -> None:
         self.scale, self.factors, self.pairs = scale, factors, pairs
-        self.colours = {name: _colours(p) for name, p in world.populations.items()}
 
     def arrays(self, world: World, attributes: tuple[str, ...]) -> Arrays:
         """The arrays of these names."""
         populations = [world.populations[name] for name in sorted(world.populations)]
-        ends = np.cumsum([len(population) for population in populations], dtype=int).tolist()
         output = Arrays()
         for attribute in attributes:
-            column = ATTRIBUTES.get(attribute)
+            column, end = ATTRIBUTES.get(attribute), 0
             kind, shape = ("f4", ()) if column is None else (column.frame_type, column.dimensions())
-            output[attribute] = np.empty((ends[-1] if ends else 0, *shape), kind)
-            for population, end in zip(populations, ends, strict=True):
-                self._write(world, attribute, population, output[attribute][end - len(population) : end])
+            output[attribute] = np.empty((len(world), *shape), kind)
+            for population in populations:
+                begin, end = end, end + len(population)
+                self._write(world, attribute, population, output[attribute][begin:end])
         return output
 
     def _write(self, world: World, attribute: str, population: Population, out: NDArray[Any]) -> None:
@@ -48,43 +45,13 @@ class AgentArrays:
         threads = world.options.threads
         column = ATTRIBUTES.get(attribute)
         if column is not None and column.kind == "derived":
-            VALUES[column.name](self, world, population, out)
+            VALUES[column.name](world, population, out)
         elif column is not None:
             write_column(population, column, self.scale, out, threads)
         elif attribute not in population.plan.registers or attribute in self.pairs[population.name]:
             out[:] = np.nan
         else:
             write_numbers(population, attribute, self.factors.get((population.name, attribute), 1.0), out, threads)
-
-    def _write_colours(self, world: World, population: Population, out: NDArray[Any]) -> None:
-        write_colours(population, self.colours[population.name], out, world.options.threads)
-
-    def _write_states(self, world: World, population: Population, out: NDArray[Any]) -> None:
-        machines = population.plan.machines
-        if machines:
-            work = partial(frame_loops.agent_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
-            parallel.in_parts(work, len(population), world.options.threads, parallel.LIGHT)
-        else:
-            out[:] = 0
-
-    def _write_orientations(self, world: World, population: Population, out: NDArray[Any]) -> None:
-        heading, up, ranks = _columns(population, "heading"), _columns(population, "up"), population.id_ranks()
-        parallel.in_parts(partial(frame_loops.agent_orientations, heading, up, ranks, out), len(ranks), world.options.threads)
-
-    def _write_species(self, world: World, population: Population, out: NDArray[Any]) -> None:
-        out[:] = sorted(world.populations).index(population.name)
-
-    def _write_ages(self, world: World, population: Population, out: NDArray[Any]) -> None:
-        out[:] = (world.frame - population.born[population.in_id_order()]) * world.dt
-
-
-VALUES: Mapping[str, Callable[[AgentArrays, World, Population, NDArray[Any]], None]] = {
-    "orient": AgentArrays._write_orientations,
-    "Cd": AgentArrays._write_colours,
-    "state": AgentArrays._write_states,
-    "species": AgentArrays._write_species,
-    "age": AgentArrays._write_ages,
-}
 
 
 def write_column(population: Population, column: Column, scale: float, out: NDArray[Any], threads: int = 1) -> None:
@@ -102,18 +69,6 @@ def write_column(population: Population, column: Column, scale: float, out: NDAr
         out[:] = population.columns[column.name].take(population.in_id_order())
 
 
-def write_colours(population: Population, colours: NDArray[np.float32], out: NDArray[np.float32], threads: int = 1) -> None:
-    """Write the state colours of agents, [n, 3]. Raises IndexError for an invalid state."""
-    machines = population.plan.machines
-    if not machines:
-        out[:] = colours[0]
-        return
-    ranks = population.id_ranks()
-    work = partial(frame_loops.agent_colours, colours, population.now[f"{machines[0].name}.state"], ranks, out)
-    if not all(parallel.in_parts(work, len(ranks), threads, parallel.LIGHT)):
-        raise IndexError("a state that does not belong to the species has no colour")
-
-
 def write_numbers(population: Population, name: str, factor: float, out: NDArray[np.float32], threads: int = 1) -> None:
     """Write a register of agents times a factor, [n]."""
     of = population.now[name]
@@ -124,10 +79,49 @@ def write_numbers(population: Population, name: str, factor: float, out: NDArray
         out[:] = of.take(population.in_id_order()).astype(np.float32, copy=False) * np.float32(factor)
 
 
-def _colours(population: Population) -> NDArray[np.float32]:
+def write_colours(world: World, population: Population, out: NDArray[np.float32]) -> None:
+    """Write the state colours of agents, [n, 3]. Raises IndexError for an invalid state."""
     machines = population.plan.machines
-    return np.array(machines[0].colours if machines else ((1.0, 1.0, 1.0),), np.float32)
+    if not machines:
+        out[:] = 1.0
+        return
+    colours, ranks = np.array(machines[0].colours, np.float32), population.id_ranks()
+    work = partial(frame_loops.agent_colours, colours, population.now[f"{machines[0].name}.state"], ranks, out)
+    if not all(parallel.in_parts(work, len(ranks), world.options.threads, parallel.LIGHT)):
+        raise IndexError("a state that does not belong to the species has no colour")
+
+
+def _write_states(world: World, population: Population, out: NDArray[np.int16]) -> None:
+    machines = population.plan.machines
+    if machines:
+        work = partial(frame_loops.agent_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
+        parallel.in_parts(work, len(population), world.options.threads, parallel.LIGHT)
+    else:
+        out[:] = 0
+
+
+def write_orientations(world: World, population: Population, out: NDArray[np.float32]) -> None:
+    """Write the orientations of agents, [n, 4]."""
+    heading, up, ranks = _columns(population, "heading"), _columns(population, "up"), population.id_ranks()
+    parallel.in_parts(partial(frame_loops.agent_orientations, heading, up, ranks, out), len(ranks), world.options.threads)
+
+
+def _write_species(world: World, population: Population, out: NDArray[np.int16]) -> None:
+    out[:] = sorted(world.populations).index(population.name)
+
+
+def _write_ages(world: World, population: Population, out: NDArray[np.float32]) -> None:
+    out[:] = (world.frame - population.born[population.in_id_order()]) * world.dt
 
 
 def _columns(population: Population, name: str) -> tuple[NDArray[np.float32], ...]:
     return tuple(population.now[f"{name}.{axis}"] for axis in AXES)
+
+
+VALUES: Mapping[str, Callable[[World, Population, NDArray[Any]], None]] = {
+    "orient": write_orientations,
+    "Cd": write_colours,
+    "state": _write_states,
+    "species": _write_species,
+    "age": _write_ages,
+}

@@ -70,7 +70,7 @@ class FrameMaker:
             for a in species.attributes
             if a.type.kind is Kind.NUMBER
         }
-        self.agents = AgentArrays(world, self.scale, self.factors, self.pairs)
+        self.agents = AgentArrays(self.scale, self.factors, self.pairs)
 
     def frame(self, world: World) -> Arrays:
         """Return all arrays of the world's current frame."""

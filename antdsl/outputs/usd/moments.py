@@ -62,12 +62,10 @@ class TimeSample:
 
     def agents(self, number: int) -> Agents:
         """Return the agents of a species at this time."""
-        here = self.species[number]
-        return (
-            here
-            if not self.share
-            else _interpolate(here, self.next_agents[number] if self.next_agents else None, self.share, self.dt)
-        )
+        agents = self.species[number]
+        if not self.share:
+            return agents
+        return _interpolate(agents, self.next_agents[number] if self.next_agents else None, self.share, self.dt)
 
 
 @dataclass(slots=True)
