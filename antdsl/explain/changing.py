@@ -13,13 +13,12 @@ from antdsl.explain.value_text import in_unit, plain_value, said, triple
 from antdsl.plan.ir import Register
 from antdsl.plan.registers import pair_values
 from antdsl.program.model import Dim, Kind, Species, Type
+from antdsl.program.tables.columns import REGISTERS
 from antdsl.program.tables.effects import EFFECTS, Effect, fill_template
 from antdsl.program.tables.units import default_unit
 from antdsl.runtime.requests import Effects, RequestEntry
 from antdsl.runtime.world import AXES, Population, World
 from antdsl.specs.value_text import place_text
-
-_VECTORS = {"position": "mm", "velocity": "mm/s", "heading": "", "up": ""}
 
 
 def list_changes(world: World, population: Population, species: Species, trace: Trace, agent: int) -> tuple[ChangedValue, ...]:
@@ -77,7 +76,7 @@ def _row(population: Population, stem: str, row: int) -> dict[str, Any]:
 
 
 def _vector_change(world: World, name: str, both: list[list[Any]], type: Type | None, memory: bool) -> ChangedValue:
-    unit = _VECTORS.get(name, default_unit(type.dim) if type is not None else "")
+    unit = REGISTERS[name].unit if name in REGISTERS else default_unit(type.dim) if type is not None else ""
     origin = world.origin if name == "position" else (0.0, 0.0, 0.0)  # registers are relative to it
     old_vector, new_vector = (
         triple(in_unit(world, float(x) + o, unit) for x, o in zip(vector, origin, strict=True)) for vector in both

@@ -11,9 +11,9 @@ from antdsl.lsp.language import help_text
 from antdsl.lsp.words import scene_key_help
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.names.declared import declaration
+from antdsl.program.tables.columns import ATTRIBUTES
 from antdsl.program.tables.things import KINDS_OF_THINGS, WITH_FACES
 from antdsl.scene import model
-from antdsl.scene.matching import FRAME_ATTRIBUTES
 from antdsl.scene.thing_models import ItemThing
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIELD_SETTINGS, FIXED_SETTINGS
@@ -101,7 +101,7 @@ def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line:
     elif path[:1] == ("fields",):
         yield from _fields(model.FieldStart)
     elif path == ("output", "attributes"):
-        yield from (Item(name, "property", "attribute of a frame") for name in FRAME_ATTRIBUTES)
+        yield from (Item(name, "property", "attribute of a frame") for name in ATTRIBUTES)
     else:
         part_model = next((model.PARTS[part] for part in reversed(path) if part in model.PARTS), None)
         if part_model is not None:

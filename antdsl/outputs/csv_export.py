@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from antdsl.outputs.cache.frame_agents import agent_ids, own_arrays, species_rows
 from antdsl.outputs.csv_text import csv_text
 from antdsl.outputs.euler_angles import Angles
 from antdsl.outputs.gallery import Gallery, place_digits
 from antdsl.whole import atomic_file
 
 HEAD = "id,frame,tx,ty,tz,rx,ry,rz,sx,sy,sz,species"
-_READ = frozenset(["P", "orient", "pscale", "id", "species"])
 
 
 def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
@@ -30,12 +30,10 @@ def export_csv(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
         file.write(f"{HEAD}\n".encode())
         names = [csv_text([("", each.name)]).replace("%", "%%") for each in gallery.manifest.species]
         for frame in frames:
-            arrays = gallery.cache.frame(frame, _READ)
-            count = len(arrays["P"])
-            which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(count, np.int16)
-            numbers = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(count)
+            arrays = gallery.cache.frame(frame, own_arrays("csv"))
+            numbers = agent_ids(arrays)
             for number, name in enumerate(names):
-                rows = np.flatnonzero(which == number)
+                rows = species_rows(arrays, number)
                 rows = rows[np.argsort(numbers[rows], kind="stable")]
                 table = np.empty((len(rows), 11))
                 table[:, 0], table[:, 1], table[:, 2:5] = numbers[rows], frame, arrays["P"][rows] + gallery.origin

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import STATIC, Arrays, Cache, CacheError, frame_path
 from antdsl.outputs.cache.cache_writer import clear, prepare_folder
+from antdsl.outputs.cache.frame_agents import IDENTITY, agent_keys, species_numbers
 from antdsl.outputs.cache.hashes import HASHES, hash_of_static, line_of
 from antdsl.outputs.cache.lock import FolderLock
 from antdsl.outputs.cache.manifest import relative_path, write_manifest
@@ -69,15 +70,13 @@ def _write_frames(cache: Cache, folder: Path, width: int) -> Iterator[int]:
 
 
 def _read_orientations(cache: Cache, number: int) -> FrameOrientations:
-    arrays: Arrays = cache.frame(number, frozenset(("id", "orient", "species")))
+    arrays: Arrays = cache.frame(number, IDENTITY | {"orient"})
     orient, ids = arrays.get("orient"), arrays.get("id")
     if orient is None or ids is None or ids.ndim != 1 or orient.shape != (len(ids), 4):
         raise CacheError(f"`{frame_path(cache.folder, number)}` has no matching ids and orientations")
-    species = arrays.get("species", np.zeros(len(ids), np.int16))
-    if species.shape != ids.shape:
+    if species_numbers(arrays).shape != ids.shape:
         raise CacheError(f"`{frame_path(cache.folder, number)}` does not have a species for each agent")
-    key = ids.astype(np.int64) * max(len(cache.manifest.species), 1) + species.astype(np.int64)
-    return FrameOrientations(key, orient.astype(np.float64))
+    return FrameOrientations(agent_keys(arrays), orient.astype(np.float64))
 
 
 def _scene_path(cache: Cache, folder: Path) -> str | None:

@@ -14,28 +14,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.body import turned
+from antdsl.numerics.records import part_of, take_rows
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
+from antdsl.outputs.cache.frame_agents import agent_ids, agent_keys, species_numbers, species_rows
 from antdsl.outputs.cache.npz import to_bytes
 from antdsl.outputs.csv_text import csv_text
 from antdsl.outputs.gallery import Gallery, place_digits
+from antdsl.program.tables.columns import CONTACT, Column
 from antdsl.whole import atomic_file, write_atomically
 
 KINDS = ("birth", "death", "state", "footfall", "emit", "contact")
 HEAD = "frame,seconds,kind,species,id,x,y,z,nx,ny,nz,what,other_species,other,depth"
 _UP = np.array([0.0, 1.0, 0.0])
+_COLUMNS = (Column("frame", "derived", "i8"), *CONTACT[:4], Column("what", "derived", "i4"), *CONTACT[4:])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Events:
-    """Events of one kind and frame. `species` (by number) and `id` name the agents; `place` and `normal` (k, 3) are in scene
-    units. `what`: the number of the new state, the leg or the event, -1 for none. For contacts: the other agent and the
+    """Events of one kind and frame. `species` (by number) and `id` name the agents; `P` and `N` (k, 3) are positions and normals
+    in scene units. `what`: the number of the new state, the leg or the event, -1 for none. For contacts: the other agent and the
     penetration depth `depth`."""
 
     kind: str
     species: NDArray[np.int64]
     id: NDArray[np.int64]
-    place: NDArray[np.float64]
-    normal: NDArray[np.float64]
+    P: NDArray[np.float64]
+    N: NDArray[np.float64]
     what: NDArray[np.int64]
     other_species: NDArray[np.int64]
     other: NDArray[np.int64]
@@ -52,13 +56,11 @@ def export_csv_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
         for frame, events in _all_events(gallery, frames):
             rows: list[list[object]] = []
             for k, word in enumerate(_event_words(gallery, events)):
-                place = [digits % value for value in events.place[k] + gallery.origin]
-                numbers = [*place, *(f"{value:.9g}" for value in events.normal[k])]
-                other = (
-                    [names[events.other_species[k]], events.other[k], f"{events.depth[k]:.9g}"]
-                    if events.other[k] >= 0
-                    else [""] * 3
-                )
+                place = [digits % value for value in events.P[k] + gallery.origin]
+                numbers = [*place, *(f"{value:.9g}" for value in events.N[k])]
+                other: list[object] = [""] * 3
+                if events.other[k] >= 0:
+                    other = [names[events.other_species[k]], events.other[k], f"{events.depth[k]:.9g}"]
                 seconds = f"{(frame - gallery.manifest.first) * gallery.dt:.9g}"
                 rows.append([frame, seconds, events.kind, names[events.species[k]], events.id[k], *numbers, word, *other])
             file.write(csv_text(rows).encode())
@@ -74,21 +76,11 @@ def export_npz_events(gallery: Gallery, frames: Iterable[int], path: Path) -> li
         events_by_kind[each.kind].append((frame, each))
     arrays: dict[str, NDArray[Any]] = {"origin": gallery.origin}
     for kind, parts in events_by_kind.items():
-        events = [each for _, each in parts]
-
-        def put(name: str, values: list[NDArray[Any]], of: type, *wide: int, kind: str = kind) -> None:
-            arrays[f"{kind}.{name}"] = np.concatenate([np.zeros((0, *wide), of), *values]).astype(of)
-
-        put("frame", [np.full(len(each.id), frame) for frame, each in parts], np.int64)
-        put("species", [each.species for each in events], np.int16)
-        put("id", [each.id for each in events], np.int64)
-        put("P", [each.place for each in events], np.float32, 3)
-        put("N", [each.normal for each in events], np.float32, 3)
-        put("what", [each.what for each in events], np.int32)
-        if kind == "contact":
-            put("other_species", [each.other_species for each in events], np.int16)
-            put("other", [each.other for each in events], np.int64)
-            put("depth", [each.depth for each in events], np.float32)
+        for column in _COLUMNS if kind == "contact" else _COLUMNS[:-3]:
+            is_frame = column.name == "frame"
+            values = [np.full(len(each.id), frame) if is_frame else getattr(each, column.field) for frame, each in parts]
+            empty = np.zeros((0, *column.dimensions()), column.type)
+            arrays[f"{kind}.{column.field}"] = np.concatenate([empty, *values]).astype(column.type)
     write_atomically(path, to_bytes(arrays))
     return _missing_notes(gallery, frames)
 
@@ -108,7 +100,7 @@ def _all_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Even
         previous = gallery.cache.frame(frames[0] - 1)
     except CacheError:
         previous = None
-    known_pairs: set[tuple[int, ...]] = set() if previous is None else _pairs(previous)
+    known_pairs: set[tuple[int, ...]] = set() if previous is None else set(_pairs(previous))
     for frame in frames:
         arrays = gallery.cache.frame(frame)
         if previous is not None:
@@ -116,12 +108,12 @@ def _all_events(gallery: Gallery, frames: list[int]) -> Iterator[tuple[int, Even
         for each in _stored_events(arrays, known_pairs):
             if len(each.id):
                 yield frame, each
-        previous, known_pairs = arrays, _pairs(arrays)
+        previous, known_pairs = arrays, set(_pairs(arrays))
 
 
 def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Iterator[Events]:
     """What two frames tell of."""
-    (was, old), (now, new) = _agent_keys(previous), _agent_keys(arrays)
+    was, now = agent_keys(previous), agent_keys(arrays)
     _, left, right = np.intersect1d(was, now, assume_unique=True, return_indices=True)
     yield _events("birth", arrays, np.flatnonzero(~np.isin(now, was)))
     yield _events("death", previous, np.flatnonzero(~np.isin(was, now)))
@@ -133,17 +125,11 @@ def _compare_frames(gallery: Gallery, previous: Arrays, arrays: Arrays) -> Itera
         positions = arrays.get(f"feet.{entry.name}.P")
         if down[0] is None or down[1] is None or positions is None:
             continue
-        rows = [np.flatnonzero(each == number) for each in (old, new)]
+        rows = [species_rows(each, number) for each in (previous, arrays)]
         _, left, right = np.intersect1d(was[rows[0]], now[rows[1]], assume_unique=True, return_indices=True)
         agent, leg = np.nonzero((down[0][left] == 0) & (down[1][right] != 0))
         row = right[agent]
         yield _events("footfall", arrays, rows[1][row], leg, np.asarray(positions, np.float64)[row, leg])
-
-
-def _agent_keys(arrays: Arrays) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """A key of each agent, and its species."""
-    species = np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(arrays["P"]), np.int64)
-    return np.asarray(arrays["id"], np.int64) * 4096 + species, species
 
 
 def _events(
@@ -151,40 +137,33 @@ def _events(
 ) -> Events:
     """Return events of agents at rows of a frame, with their up, and their position unless `place` gives another."""
     none = np.full(len(rows), -1, np.int64)
-    _, species = _agent_keys(arrays)
     up = turned(np.asarray(arrays["orient"], np.float64)[rows], np.tile(_UP, (len(rows), 1)))
     where = np.asarray(arrays["P"], np.float64)[rows] if place is None else place
     details = none if what is None else np.asarray(what, np.int64)
-    ids = np.asarray(arrays["id"], np.int64)[rows]
-    return Events(kind, species[rows], ids, where, up, details, none, none, np.zeros(len(rows)))
+    species, ids = species_numbers(arrays)[rows], agent_ids(arrays)[rows]
+    return Events(kind, species, ids, where, up, details, none, none, np.zeros(len(rows)))
 
 
 def _stored_events(arrays: Arrays, known_pairs: set[tuple[int, ...]]) -> Iterator[Events]:
     """Yield the events stored in a frame; contacts only if they are not in the frame before."""
     for kind in ("emit", "contact"):
-        of = {name.removeprefix(f"events.{kind}."): array for name, array in arrays.items() if name.startswith(f"events.{kind}.")}
+        of = part_of(arrays, f"events.{kind}.")
         if "id" not in of:
             continue
         none = np.full(len(of["id"]), -1, np.int64)
-        events = Events(
-            kind, of["species"].astype(np.int64), of["id"], of["P"].astype(np.float64), of["N"].astype(np.float64),
-            of.get("event", none).astype(np.int64), of.get("other_species", none).astype(np.int64), of.get("other", none),
-            of.get("depth", np.zeros(len(none))).astype(np.float64),
-        )  # fmt: skip
+        what, species, other = (of[name].astype(np.int64) if name in of else none for name in ("event", "other_species", "other"))
+        place, normal, depth = (each.astype(np.float64) for each in (of["P"], of["N"], of.get("depth", np.zeros(len(none)))))
+        events = Events(kind, of["species"].astype(np.int64), of["id"], place, normal, what, species, other, depth)
         if kind == "contact":
-            new = np.array([pair not in known_pairs for pair in _as_tuples(of)], np.bool_)
-            events = Events(kind, *(getattr(events, name)[new] for name in Events.__slots__[1:]))
+            new = np.array([pair not in known_pairs for pair in _pairs(arrays)], np.bool_)
+            events = take_rows(events, new)
         yield events
 
 
-def _pairs(arrays: Arrays) -> set[tuple[int, ...]]:
-    prefix = "events.contact."
-    return set(_as_tuples({name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}))
-
-
-def _as_tuples(of: dict[str, NDArray[Any]]) -> list[tuple[int, ...]]:
-    keys = ("species", "id", "other_species", "other")
-    return list(zip(*(of[key].tolist() for key in keys), strict=True)) if "other" in of else []
+def _pairs(arrays: Arrays) -> list[tuple[int, ...]]:
+    """Return species and id of both agents of each contact."""
+    keys = [f"events.contact.{name}" for name in ("species", "id", "other_species", "other")]
+    return list(zip(*(arrays[key].tolist() for key in keys), strict=True)) if keys[-1] in arrays else []
 
 
 def _event_words(gallery: Gallery, events: Events) -> list[str]:

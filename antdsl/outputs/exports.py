@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import Arrays, Cache
+from antdsl.outputs.cache.frame_agents import ALWAYS_SAVED, IDENTITY, agent_ids, species_rows
 from antdsl.outputs.csv_export import export_csv
 from antdsl.outputs.events_export import export_csv_events, export_npz_events
 from antdsl.outputs.geo_export import export_geo
@@ -20,9 +21,9 @@ from antdsl.outputs.numbered_files import numbered_path
 from antdsl.outputs.poses_export import export_poses
 from antdsl.outputs.solid_export import export_solids, export_volumes
 from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances, export_xforms
+from antdsl.program.tables.columns import FRAME
 
-_OF_AGENTS = ("v_ground",)  # beside the attributes of the manifest
-_OF_SPECIES = ("clips", "feet", "wears", "channels", "looks", "leans")  # arrays of the agents of a species, `WORD.SPECIES…`
+_SUBJECTS = {each.name.partition(".")[0]: each.of for each in FRAME}  # by the first word of a name
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,32 +87,30 @@ class AgentSubset(Cache):
 
     def frame(self, number: int, only: frozenset[str] | None = None) -> Arrays:
         """The arrays of a frame, with the rows of the chosen agents."""
-        arrays = super().frame(number, None if only is None else only | {"id", "species"} | self._id_arrays(only))
+        arrays = super().frame(number, None if only is None else only | IDENTITY | self._id_arrays(only))
         if "id" not in arrays:
             return arrays
-        ids = np.asarray(arrays["id"], np.int64)
-        chosen = np.isin(ids, sorted(self.ids))
-        which = np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(ids), np.int64)
-        by_species = {entry.name: chosen[which == k] for k, entry in enumerate(self.manifest.species)}
-        named = {*self.manifest.attributes, *_OF_AGENTS}
-        chosen_arrays = {}
-        for name, array in arrays.items():
+        chosen = np.isin(agent_ids(arrays), sorted(self.ids))
+        by_species = {entry.name: chosen[species_rows(arrays, k)] for k, entry in enumerate(self.manifest.species)}
+        named = {*self.manifest.attributes, *ALWAYS_SAVED}
+        chosen_arrays = {name: array for name, array in arrays.items() if only is None or name in only or name == "frame"}
+        for name, array in chosen_arrays.items():
             rows = chosen if name in named else self._rows(name, arrays, by_species)
-            chosen_arrays[name] = array if rows is None or array.ndim == 0 or len(array) != len(rows) else array[rows]
-        return (
-            chosen_arrays
-            if only is None
-            else {name: array for name, array in chosen_arrays.items() if name in only or name == "frame"}
-        )
+            if rows is not None and array.ndim and len(array) == len(rows):
+                chosen_arrays[name] = array[rows]
+        return chosen_arrays
 
     def _id_arrays(self, only: frozenset[str]) -> set[str]:
         """Return the names of the ids that some arrays belong to."""
-        return {f"{name.rpartition('.')[0]}.id" for name in only if name.startswith(("pairs.", "events."))}
+        return {f"{name.rpartition('.')[0]}.id" for name in only if _subject(name) in ("pair", "event")}
 
     def _rows(self, name: str, arrays: Arrays, by_species: dict[str, NDArray[np.bool_]]) -> NDArray[np.bool_] | None:
         """Return the rows of the chosen agents in an array; None for an array that is not about agents."""
-        word, _, rest = name.partition(".")
-        if word in ("pairs", "events"):
+        if _subject(name) in ("pair", "event"):
             owners = arrays.get(f"{name.rpartition('.')[0]}.id")
             return None if owners is None else np.isin(np.asarray(owners), sorted(self.ids))
-        return by_species.get(rest.partition(".")[0]) if word in _OF_SPECIES else None
+        return by_species.get(name.split(".")[1]) if _subject(name) == "one" else None
+
+
+def _subject(name: str) -> str | None:
+    return _SUBJECTS.get(name.partition(".")[0]) if "." in name else None

@@ -19,6 +19,7 @@ from antdsl.bodies.shapes import item_shape
 from antdsl.outputs.cache.body_arrays import definition_of
 from antdsl.outputs.cache.cache_reader import Arrays, Cache, CacheError
 from antdsl.outputs.cache.dug_solids import DugSolids
+from antdsl.outputs.cache.frame_agents import agent_ids, species_rows
 from antdsl.outputs.cache.manifest import CameraEntry, ClipEntry, MeshEntry, SpeciesEntry
 from antdsl.outputs.cache.pose_arrays import driven_values, feet_of, layers_of, machines_of, worn_masks
 from antdsl.outputs.cutting import Cut
@@ -189,7 +190,7 @@ class Gallery:
         legend: list[LegendRow] = []
         next_arrays = self.cache.frame(frame + 1) if self._blurred and frame + 1 in self.cache.frames() else None
         for number, species in enumerate(self.manifest.species):
-            rows = _rows_of(number, arrays)
+            rows = species_rows(arrays, number)
             crowd = self._species_crowd(number, frame, arrays)
             if next_arrays is not None:
                 crowd = replace(crowd, next_crowd=follow_agents(crowd, self._species_crowd(number, frame + 1, next_arrays)))
@@ -206,8 +207,8 @@ class Gallery:
     def _species_crowd(self, number: int, frame: int, arrays: Arrays) -> Crowd:
         """Return all agents of a species, posed by the clips and appearance in the frame. Agents without a clip play the idle
         clip. The feet are those of the frame."""
-        species, rows = self.manifest.species[number], _rows_of(number, arrays)
-        ids = np.asarray(arrays["id"])[rows] if "id" in arrays else rows
+        species, rows = self.manifest.species[number], species_rows(arrays, number)
+        ids = agent_ids(arrays)[rows]
         body, count = self.body(number), len(rows)
         return Crowd(
             species=species.name,
@@ -220,7 +221,7 @@ class Gallery:
             worn=body,
             plays=(*body.idle_clips(ids, frame * self.dt), *(machines_of(species, arrays, count) or ())),
             feet=feet_of(species.name, arrays, count, 0 if body.legs is None else body.legs.count),
-            driven=driven_values(species, arrays, np.asarray(ids, np.int64), self.manifest.seed),
+            driven=driven_values(species, arrays, ids, self.manifest.seed),
         )
 
     def _split_by_layers(self, crowd: Crowd, number: int, arrays: Arrays) -> list[Crowd]:
@@ -327,11 +328,6 @@ def place_digits(gallery: Gallery) -> str:
     """Return the `%` format of a coordinate from the scene's zero point: float32 to its last bit, or with an origin float64 (a
     millionth of a millimetre at 1000 km)."""
     return "%.15g" if gallery.origin.any() else "%.9g"
-
-
-def _rows_of(number: int, arrays: Arrays) -> NDArray[np.intp]:
-    """The rows of a species in a frame."""
-    return np.flatnonzero(np.asarray(arrays["species"]) == number) if "species" in arrays else np.arange(len(arrays["P"]))
 
 
 def _split_chosen(crowd: Crowd, agents: frozenset[int]) -> list[Crowd]:

@@ -8,7 +8,7 @@ the global attribute `origin`, in double precision."""
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.transforms import rotation_product, unit_quaternion
 from antdsl.outputs.cache.cache_reader import Arrays, CacheError
+from antdsl.outputs.cache.frame_agents import IDENTITY, agent_ids, agent_keys, further_numbers, species_numbers, species_rows
 from antdsl.outputs.cache.manifest import SpeciesEntry
 from antdsl.outputs.cache.pose_arrays import machines_of
 from antdsl.outputs.gallery import Gallery
@@ -26,10 +27,10 @@ from antdsl.scene.model import UNIT_MM
 from antdsl.whole import write_atomically
 
 Floats = NDArray[np.float64]
+Slot = tuple[NDArray[np.int64], Floats, Floats]
 _HALF = float(np.sqrt(0.5))
 _FROM_Z = np.array([0.0, _HALF, 0.0, _HALF])  # turns +z to +x, about +y
 _TO_Y = np.array([-_HALF, 0.0, 0.0, _HALF])  # turns +z to +y, about +x
-_OWN = frozenset(["frame", "P", "v", "orient", "pscale", "Cd", "id", "state", "species", "v_ground"])
 _MOST = 1e6  # a clip that covers others wholly weighs so much more than they
 
 
@@ -62,7 +63,7 @@ def _geometry(gallery: Gallery, frame: int, arrays: Arrays) -> list[Any]:
 
 def _point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
     """Return the numeric attributes of agents, each with its kind of vector."""
-    z_up, count = gallery.manifest.up == "z", len(arrays["P"])
+    z_up = gallery.manifest.up == "z"
     turn = unit_quaternion(np.asarray(arrays["orient"], np.float64))
     attributes = {"P": (_to_y_up(arrays["P"], z_up), "point")}
     if "v" in arrays:
@@ -75,8 +76,8 @@ def _point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str,
         attributes["Cd"] = (np.asarray(arrays["Cd"], np.float64), "color")
     if "id" in arrays:
         attributes["id"] = (np.asarray(arrays["id"], np.int64), "")
-    for name, values in arrays.items():
-        if name not in _OWN and "." not in name and values.ndim == 1 and len(values) == count:
+    for name, values in further_numbers(arrays, "geo"):
+        if "." not in name:
             attributes[name] = (np.asarray(values, np.int64 if values.dtype.kind in "iu" else np.float64), "")
     return {name: (np.nan_to_num(values), kind) for name, (values, kind) in attributes.items()} | _clip_numbers(gallery, arrays)
 
@@ -84,9 +85,9 @@ def _point_attributes(gallery: Gallery, frame: int, arrays: Arrays) -> dict[str,
 def _text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
     """Return the text attributes of agents: a table of texts, and the index of each agent's, -1 for none."""
     manifest, count = gallery.manifest, len(arrays["P"])
-    which = _species_numbers(arrays)
+    which = species_numbers(arrays)
     species = [entry.name for entry in manifest.species]
-    ids = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(count)
+    ids = agent_ids(arrays)
     tables = {
         "species": (species, which),
         "agentname": ([f"{species[s]}_{n}" for s, n in zip(which.tolist(), ids.tolist(), strict=True)], np.arange(count)),
@@ -102,39 +103,35 @@ def _text_attributes(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[s
 def _clip_numbers(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[NDArray[Any], str]]:
     """Return `clipN_time` in seconds and `clipN_weight` of the clips that each agent plays."""
     attributes: dict[str, tuple[NDArray[Any], str]] = {}
-    for number, entry, rows, machines in _clip_players(gallery, arrays):
-        seconds = _seconds(gallery, number, entry)
-        for slot, (clip, turns, weight) in enumerate(_slots(machines, len(rows))):
-            for name, values in (("time", turns * seconds[clip]), ("weight", weight)):
-                column, _ = attributes.setdefault(f"clip{slot}_{name}", (np.zeros(len(arrays["P"])), ""))
-                column[rows] = values
+    for number, entry, rows, slot, (clip, turns, weight) in _played_clips(gallery, arrays):
+        for name, values in (("time", turns * _seconds(gallery, number, entry)[clip]), ("weight", weight)):
+            column, _ = attributes.setdefault(f"clip{slot}_{name}", (np.zeros(len(arrays["P"])), ""))
+            column[rows] = values
     return attributes
 
 
 def _clip_names(gallery: Gallery, arrays: Arrays) -> dict[str, tuple[list[str], NDArray[np.int64]]]:
     """`clipN`, the name of a clip, and `clipN_group`, the transform group that it moves."""
     attributes: dict[str, tuple[list[str], NDArray[np.int64]]] = {}
-    for _, entry, rows, machines in _clip_players(gallery, arrays):
-        for slot, (clip, _, _) in enumerate(_slots(machines, len(rows))):
-            for name, texts in (("", [each.name for each in entry.clips]), ("_group", [each.on for each in entry.clips])):
-                table, indices = attributes.setdefault(f"clip{slot}{name}", ([], np.full(len(arrays["P"]), -1, np.int64)))
-                indices[rows] = np.where(clip >= 0, clip + len(table), -1)
-                table.extend(texts)
+    for _, entry, rows, slot, (clip, _, _) in _played_clips(gallery, arrays):
+        for name, texts in (("", [each.name for each in entry.clips]), ("_group", [each.on for each in entry.clips])):
+            table, indices = attributes.setdefault(f"clip{slot}{name}", ([], np.full(len(arrays["P"]), -1, np.int64)))
+            indices[rows] = np.where(clip >= 0, clip + len(table), -1)
+            table.extend(texts)
     return attributes
 
 
-def _clip_players(gallery: Gallery, arrays: Arrays) -> list[tuple[int, SpeciesEntry, NDArray[np.intp], tuple[MachineClips, ...]]]:
-    """Return the species that play clips: number, entry, rows and the clips of their machines."""
-    players = []
+def _played_clips(gallery: Gallery, arrays: Arrays) -> Iterator[tuple[int, SpeciesEntry, NDArray[np.intp], int, Slot]]:
+    """Yield the clips of species that play some: number, entry and rows of the species, and the clips in a slot."""
     for number, entry in enumerate(gallery.manifest.species):
-        rows = np.flatnonzero(_species_numbers(arrays) == number)
+        rows = species_rows(arrays, number)
         machines = machines_of(entry, arrays, len(rows))
         if machines and entry.clips:
-            players.append((number, entry, rows, machines))
-    return players
+            for slot, played in enumerate(_slots(machines, len(rows))):
+                yield number, entry, rows, slot, played
 
 
-def _slots(machines: Iterable[MachineClips], count: int) -> list[tuple[NDArray[np.int64], Floats, Floats]]:
+def _slots(machines: Iterable[MachineClips], count: int) -> list[Slot]:
     """Return two slots per machine, the outgoing clip and the current one: number, turns, weight.
 
     Houdini normalises weights at each joint. There, a machine's clips replace the clips below them by their total weight; this is
@@ -161,19 +158,15 @@ def _seconds(gallery: Gallery, number: int, entry: SpeciesEntry) -> Floats:
     return np.array([*(clips[each.name].duration if each.name in clips else 1.0 for each in entry.clips), 0.0])
 
 
-def _species_numbers(arrays: Arrays) -> NDArray[np.int64]:
-    return np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(len(arrays["P"]), np.int64)
-
-
 def _angular_velocity(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats) -> Floats:
     """Return angular velocities (n, 3), radians per second: the rotation of each agent to the next frame, or from the frame
     before."""
     for other, sign in ((frame + 1, 1.0), (frame - 1, -1.0)):
         try:
-            other_arrays = gallery.cache.frame(other, frozenset(["orient", "id", "species"]))
+            other_arrays = gallery.cache.frame(other, IDENTITY | {"orient"})
         except CacheError:
             continue
-        mine, theirs = _agent_keys(arrays), _agent_keys(other_arrays)
+        mine, theirs = agent_keys(arrays), agent_keys(other_arrays)
         _, rows, then = np.intersect1d(mine, theirs, assume_unique=True, return_indices=True)
         was, goes = turn[rows], unit_quaternion(np.asarray(other_arrays["orient"], np.float64))[then]
         step = rotation_product(goes, was * (-1, -1, -1, 1))
@@ -184,11 +177,6 @@ def _angular_velocity(gallery: Gallery, frame: int, arrays: Arrays, turn: Floats
         velocity[rows] = step[:, :3] * (sign * angle / np.maximum(sine, 1e-12) / gallery.dt)[:, None]
         return velocity
     return np.zeros((len(turn), 3))
-
-
-def _agent_keys(arrays: Arrays) -> NDArray[np.int64]:
-    ids = np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(len(arrays["orient"]))
-    return ids * 4096 + (np.asarray(arrays["species"], np.int64) if "species" in arrays else 0)
 
 
 def _to_y_up(vectors: NDArray[Any], z_up: bool) -> Floats:

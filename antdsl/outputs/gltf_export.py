@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import STATE
-from antdsl.bodies.agents.poses import square_matrices
 from antdsl.bodies.agents.transforms import parts_of
 from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.files.gltf_writer import GltfWriter, ShapeParts
@@ -24,7 +23,7 @@ from antdsl.outputs.gltf_stage import Stage
 from antdsl.outputs.numbered_files import NoExport
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.poses_export import FEWER, NONE, Worn, placement_matrices, worn_crowds
+from antdsl.outputs.poses_export import FEWER, NONE, Worn, posed_rows, worn_crowds
 from antdsl.whole import write_atomically
 
 _AGENTS, _BYTES = 1000, 1 << 28  # the most that one file is good for
@@ -52,16 +51,12 @@ def export_gltf(gallery: Gallery, frames: Iterable[int], path: Path) -> list[str
 
 @dataclass(slots=True, eq=False)
 class _Body:
-    """Animation of the agents with one body: their `ids`, the frame numbers (from 0) of their rows, and for each row `place`
+    """Animation of the agents with one body. `arrays` of its frames: the `id` of each row, its `frame` number (from 0), `place`
     float64[4, 4], `local` float32[J, 4, 4] and `channels` float32[C]. `colour` has display values of each id at its first
     frame."""
 
     worn: PosedBody
-    frame: list[NDArray[np.int64]] = field(default_factory=list)
-    ids: list[NDArray[np.int64]] = field(default_factory=list)
-    place: list[Floats] = field(default_factory=list)
-    local: list[NDArray[np.float32]] = field(default_factory=list)
-    channels: list[NDArray[np.float32]] = field(default_factory=list)
+    arrays: dict[str, list[NDArray[Any]]] = field(default_factory=dict)
     colour: dict[int, tuple[float, ...]] = field(default_factory=dict)
 
 
@@ -89,14 +84,10 @@ class _Crowd:
         return output
 
     def _add(self, key: Worn, body: _Body, crowd: Crowd, number: int) -> None:
-        poses = crowd.poses(local=True)
-        assert poses.local is not None and crowd.ids is not None
-        body.frame.append(np.full(len(crowd.position), number, np.int64))
-        body.ids.append(np.asarray(crowd.ids, np.int64))
-        body.place.append(placement_matrices(crowd, body.worn.definition))
-        body.local.append(square_matrices(poses.local))
-        body.channels.append(np.ascontiguousarray(poses.channels))
-        for one, colour in zip(body.ids[-1].tolist(), np.asarray(crowd.colour).tolist(), strict=True):
+        rows = posed_rows(crowd) | {"frame": np.full(len(crowd.position), number, np.int64)}
+        for name in ("id", "frame", "place", "local", "channels"):
+            body.arrays.setdefault(name, []).append(rows[name])
+        for one, colour in zip(rows["id"].tolist(), np.asarray(crowd.colour).tolist(), strict=True):
             if body.colour.setdefault(one, tuple(colour)) != tuple(colour):
                 self.turned.add(key[0])
 
@@ -119,10 +110,8 @@ def _write_agents(stage: Stage, body: _Body, colours: dict[int, tuple[float, ...
     """The nodes, skins and animation of all agents with one body."""
     worn = body.worn
     rig, writer = worn.definition.rig, stage.writer
-    frame, ids = np.concatenate(body.frame), np.concatenate(body.ids)
-    place, channels = np.concatenate(body.place), np.concatenate(body.channels)
-    local = np.concatenate(body.local).astype(np.float64)
-    move, turn, size, shear = parts_of(local)
+    ids, frame, place, local, channels = map(np.concatenate, body.arrays.values())
+    move, turn, size, shear = parts_of(local.astype(np.float64))
     if shear.size and np.abs(shear).max() > _SHEAR:
         stage.add_note("a shear of joints is left out: glTF has none")
     order = np.lexsort((frame, ids))
@@ -159,7 +148,8 @@ def _materials(stage: Stage, worn: PosedBody, colour: tuple[float, ...]) -> dict
     """Return the numbers of a body's materials. Triangles without a material have the agent's state colour."""
     state = tuple(float(part) for part in decode_srgb(np.array(colour)))
     own: dict[str, Any] = dict(worn.definition.materials)
+    used = (material for binding in worn.bindings for material in worn.definition.shapes[binding.shape].materials)
     return {
         name: stage.material(name or STATE, own[name] if name in own and name != STATE else state)
-        for name in {"", STATE, *own, *(m for b in worn.bindings for m in worn.definition.shapes[b.shape].materials)}
+        for name in dict.fromkeys(("", STATE, *own, *used))
     }

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.bodies.body import turned
+from antdsl.numerics.records import take_rows
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.mesh_files import Part, write_mesh
 from antdsl.outputs.numbered_files import NoExport, numbered_path
@@ -119,7 +120,7 @@ def _pose_batch(species: str, crowd: Crowd, rows: np.ndarray[Any, Any]) -> list[
     orient = np.asarray(crowd.orient, np.float64)[rows]
     placed = turned(orient, points.astype(np.float64)) * crowd.scale[rows, None, None] + crowd.position[rows, None]
     across = turned(orient, normals.astype(np.float64))
-    own, tint = encode_srgb(worn.colours(crowd.driven.rows(rows))) / 255.0, worn.tint[:, None]
+    own, tint = encode_srgb(worn.colours(take_rows(crowd.driven, rows))) / 255.0, worn.tint[:, None]
     parts = []
     for k, row in enumerate(rows.tolist()):
         number, colours = int(crowd.ids[row]), own[k % len(own)] * (1 - tint) + tint * crowd.colour[row]

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import Cache
+from antdsl.outputs.cache.frame_agents import ALWAYS_SAVED
 from antdsl.outputs.cache.npz import to_member
 from antdsl.outputs.gallery import Gallery
 from antdsl.whole import atomic_file
@@ -37,7 +38,7 @@ def export_arrays(gallery: Gallery, frames: Iterable[int], path: Path) -> None:
             if array.ndim:
                 shapes.setdefault(name, (array.dtype, array.shape[1:]))
                 counts.setdefault(name, np.zeros(len(frames), np.int64))[number] = len(array)
-    agents = [name for name in shapes if name in cache.manifest.attributes or name == "v_ground"]
+    agents = [name for name in shapes if name in {*cache.manifest.attributes, *ALWAYS_SAVED}]
     small: Arrays = {"frames": np.array(frames, np.int64), "rows": _starts(counts["P"])}
     small |= {f"{name}.rows": _starts(counts[name]) for name in shapes if name not in agents}
     small["about"] = np.frombuffer(json.dumps(_describe(gallery, agents)).encode("ascii"), np.uint8)

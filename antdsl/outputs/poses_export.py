@@ -62,8 +62,11 @@ def export_poses(gallery: Gallery, frames: Iterable[int], path: Path) -> list[st
             size += len(crowd.position) * (len(worn.definition.rig.names) * 128 + 200)
             if size > _MOST:
                 raise NoExport(f"poses of so many agents and frames take more than {_MOST >> 30} GiB", FEWER)
-            _add(rows, crowd, worn, gallery.origin)
-    arrays: dict[str, NDArray[Any]] = {"frames": np.array(frames, np.int64)}
+            arrays = posed_rows(crowd)
+            arrays["place"][:, :3, 3] += gallery.origin
+            for name, array in arrays.items():
+                rows.arrays.setdefault(name, []).append(array)
+    arrays = {"frames": np.array(frames, np.int64)}
     description = {}
     for name, rows in rows_by_species.items():
         counts = rows.counts + [0] * (len(frames) - len(rows.counts))
@@ -97,14 +100,12 @@ def placement_matrices(crowd: Crowd, body: Definition) -> NDArray[np.float64]:
     return matrices
 
 
-def _add(rows: _Rows, crowd: Crowd, worn: PosedBody, origin: NDArray[np.float64]) -> None:
+def posed_rows(crowd: Crowd) -> dict[str, NDArray[Any]]:
+    """Return the ids of agents, their placements and the transforms of their joints and channels, by name."""
     poses = crowd.poses(local=True)
     assert poses.local is not None and crowd.ids is not None
-    place = placement_matrices(crowd, worn.definition)
-    place[:, :3, 3] += origin
-    arrays: dict[str, NDArray[Any]] = {
-        "id": np.asarray(crowd.ids, np.int64), "place": place, "world": square_matrices(poses.world),
-        "local": square_matrices(poses.local), "channels": np.ascontiguousarray(poses.channels),
+    return {
+        "id": np.asarray(crowd.ids, np.int64), "place": placement_matrices(crowd, crowd.worn.definition),
+        "world": square_matrices(poses.world), "local": square_matrices(poses.local),
+        "channels": np.ascontiguousarray(poses.channels),
     }  # fmt: skip
-    for name, array in arrays.items():
-        rows.arrays.setdefault(name, []).append(array)

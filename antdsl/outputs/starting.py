@@ -10,6 +10,7 @@ import numpy as np
 
 from antdsl.bounded import read_blocks
 from antdsl.diagnostics import Report
+from antdsl.numerics.records import part_of
 from antdsl.outputs.cache.cache_reader import CacheError, checkpoint_path, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.cache.npz import FILE_BYTES
@@ -75,7 +76,6 @@ def start_from_cache(shot: Shot, world: World) -> None:
         raise _error(shot, "no-such-file", str(why), "cache", "name the folder of a cache below the scene's own") from None
     except CacheError:
         raise _missing(shot, folder) from None
-    state_arrays = {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}
     source_origin = np.array(cache.manifest.origin) * UNIT_MM[cache.manifest.units]
     if "origin" in cache.manifest.model_fields_set and (source_origin != world.origin).any():  # older caches do not say it
         a, b = (" ".join(f"{x / 1000:.15g}" for x in each) for each in (source_origin, world.origin))
@@ -83,7 +83,7 @@ def start_from_cache(shot: Shot, world: World) -> None:
         raise _error(shot, "wrong-value", words, "cache", "give the surfaces the same meshes at the same places")
     first, params = world.frame, dict(world.params)
     try:
-        restore(world, state_arrays)
+        restore(world, part_of(arrays, "world."))
     except CheckpointError as why:
         words = f"frame {start.frame} of `{start.cache}` belongs to different programs: {why}"
         raise _error(shot, "wrong-value", words, "cache", "begin with a cache of the same programs") from None

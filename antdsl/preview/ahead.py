@@ -3,44 +3,24 @@ read once, when that branch begins, and never changed."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
-import numpy as np
-from numpy.typing import NDArray
-
+from antdsl.preview.agent_columns import POSITIONS, Arrays, packet_arrays, reuse_arrays
 from antdsl.preview.session import Session
 from antdsl.preview.timeline import Change, Stretch
-from antdsl.runtime import FaultStop, LimitStop, Population, World, checkpoint, step
+from antdsl.runtime import FaultStop, LimitStop, World, checkpoint, step
 
 SECONDS = 2.0
 _BYTES = 1 << 26  # of places, at most
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SpeciesPositions:
-    """Agents of one species at one frame, by id: ids int64[n], places float32[n, 3] in the world's own count."""
-
-    ids: NDArray[np.int64]
-    position: NDArray[np.float32]
-
-    @classmethod
-    def of(cls, population: Population, previous: SpeciesPositions | None) -> SpeciesPositions:
-        """Return the current positions; ids are the array of the frame before if no agent came or went."""
-        rows = population.in_id_order()
-        ids = population.ids[rows]
-        same = previous is not None and np.array_equal(previous.ids, ids)
-        return cls(previous.ids if previous is not None and same else ids, population.position[rows].astype(np.float32))
-
-
 class Ahead:
-    """The frames of the next 2 seconds, or as many as fit in 64 MiB. `frames` has all species by frame; the first is the
-    session's current frame.
+    """The frames of the next 2 seconds, or as many as fit in 64 MiB. `frames` has ids and positions of all species by frame; the
+    first is the session's current frame.
 
     Without edits, the session later reaches these frames, so only new frames at the far end are simulated. They end at an edit,
     at the end of a history that the session went back in, and where a step fails."""
 
     def __init__(self) -> None:
-        self.frames: dict[int, dict[str, SpeciesPositions]] = {}
+        self.frames: dict[int, dict[str, Arrays]] = {}
         self.version = 0  # changes whenever they do
         self._of: tuple[Stretch, tuple[Change, ...]] | None = None
         self._world: World | None = None
@@ -80,7 +60,9 @@ class Ahead:
             except FaultStop:
                 pass  # the session would go on after the fault as well
         previous = self.frames.get(world.frame - 1, {})
-        self.frames[world.frame] = {name: SpeciesPositions.of(p, previous.get(name)) for name, p in world.populations.items()}
+        self.frames[world.frame] = {
+            name: reuse_arrays(packet_arrays(p, POSITIONS), previous.get(name, {})) for name, p in world.populations.items()
+        }
         self.version += 1
 
     def _last_frame(self, session: Session) -> int:

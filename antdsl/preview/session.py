@@ -14,10 +14,11 @@ from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices, Shot
 from antdsl.plan.ir import Plan
 from antdsl.plan.traverse import field_nodes, operands, required_nodes, statements
+from antdsl.preview.agent_columns import Arrays
 from antdsl.preview.compiling import Compiler
 from antdsl.preview.layer_order import Off, texts_without_layers
 from antdsl.preview.speculative import changed_files_text
-from antdsl.preview.timeline import LightFrame, Stretch, Timeline, nearest_checkpoint
+from antdsl.preview.timeline import Stretch, Timeline, nearest_checkpoint
 from antdsl.reload import migration_line
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, World, bind, state_hash, step
 from antdsl.runtime.binding.start_findings import start_warnings
@@ -146,7 +147,7 @@ class Session:
         if not self.first <= frame <= self.last_frame:
             raise ValueError(f"frame {frame} is not among those stored, {self.first} to {self.last_frame}")
 
-    def light_at(self, frame: int) -> Mapping[str, LightFrame] | None:
+    def light_at(self, frame: int) -> Mapping[str, Arrays] | None:
         """Return the agents at a frame by species, without simulation; None if the frame was dropped."""
         return self.timeline.light.get(frame)
 

@@ -5,57 +5,25 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.pipeline import Choices, Shot
-from antdsl.runtime import BindingCache, Options, Population, World, checkpoint, restore, set_param, state_hash
+from antdsl.preview.agent_columns import Arrays, light_frame
+from antdsl.runtime import BindingCache, Options, World, checkpoint, restore, set_param, state_hash
 from antdsl.runtime.binding.bind_world import bind_empty
-from antdsl.runtime.world import AXES
 
 _LIGHT = 0.25  # of the budget, that light frames keep
 _POSES = 0.125  # of the budget, that what bodies did keeps
 _CURVES = 50_000  # frames
 _BRANCHES = 8
 _STOPS = 256
-Arrays = dict[str, NDArray[Any]]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LightFrame:
-    """Agents of one species at one frame, by id. `ids` int64[n]; `places` float32[n,3] relative to the world's origin; heading
-    and up int8[n,3] (127 is 1); sizes float32[n] in mm; states uint8[n] by machine. An array that equals that of the previous
-    frame is the same object."""
-
-    ids: NDArray[np.int64]
-    position: NDArray[np.float32]
-    heading: NDArray[np.int8]
-    up: NDArray[np.int8]
-    size: NDArray[np.float32]
-    states: dict[str, NDArray[np.uint8]]
-
-    @classmethod
-    def of(cls, population: Population, previous: LightFrame | None = None) -> LightFrame:
-        """Return the current state of a species. `previous`: its state in the previous frame."""
-        rows = population.in_id_order()
-        ids, size = population.ids[rows], population.now["size"][rows]
-        if previous is not None:
-            ids = previous.ids if np.array_equal(ids, previous.ids) else ids
-            size = previous.size if np.array_equal(size, previous.size) else size
-        states = {m.name: population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
-        heading, up = pack_directions(population, "heading", rows), pack_directions(population, "up", rows)
-        return cls(ids, population.position[rows].astype(np.float32), heading, up, size, states)
-
-    def arrays(self) -> Iterator[NDArray[Any]]:
-        yield from (self.ids, self.position, self.heading)
-        yield from (self.up, self.size)
-        yield from self.states.values()
-
-
-class LightFrames(dict[int, dict[str, LightFrame]]):
+class LightFrames(dict[int, Mapping[str, Arrays]]):
     """Light frames by frame and species. `nbytes`: of all arrays, each counted once in however many frames it is."""
 
     def __init__(self) -> None:
@@ -63,24 +31,19 @@ class LightFrames(dict[int, dict[str, LightFrame]]):
         self.nbytes = 0
         self._used: Counter[int] = Counter()
 
-    def put(self, frame: int, lights: dict[str, LightFrame]) -> None:
+    def put(self, frame: int, lights: Mapping[str, Arrays]) -> None:
         self.drop(frame)
         self[frame] = lights
-        for array in _arrays(lights):
+        for array in chain.from_iterable(light.values() for light in lights.values()):
             self.nbytes += array.nbytes if not self._used[id(array)] else 0
             self._used[id(array)] += 1
 
     def drop(self, frame: int) -> None:
-        for array in _arrays(self.pop(frame, {})):
+        for array in chain.from_iterable(light.values() for light in self.pop(frame, {}).values()):
             self._used[id(array)] -= 1
             if not self._used[id(array)]:
                 del self._used[id(array)]
                 self.nbytes -= array.nbytes
-
-
-def _arrays(lights: Mapping[str, LightFrame]) -> Iterator[NDArray[Any]]:
-    for light in lights.values():
-        yield from light.arrays()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -277,7 +240,7 @@ class Timeline:
         if fresh:
             previous = self.light.get(frame - 1, {})
             self.poses.drop(frame)
-            self.light.put(frame, {name: LightFrame.of(p, previous.get(name)) for name, p in world.populations.items()})
+            self.light.put(frame, {name: light_frame(p, previous.get(name)) for name, p in world.populations.items()})
         self._enforce_budget(stretch)
 
     def _drop_frame(self, frame: int) -> None:
@@ -343,11 +306,3 @@ def _byte_count(arrays: Arrays) -> int:
 def nearest_checkpoint(stretch: Stretch, frame: int) -> int:
     """Return the last frame of the stretch with a checkpoint, at or before `frame`."""
     return max(each for each in stretch.checkpoints if each <= frame)
-
-
-def pack_directions(population: Population, name: str, rows: NDArray[np.intp]) -> NDArray[np.int8]:
-    """Unit vectors of agents, int8 (n, 3): 127 is 1."""
-    turned = np.empty((len(rows), 3), np.int8)
-    for axis, letter in enumerate(AXES):
-        turned[:, axis] = np.rint(population.now[f"{name}.{letter}"][rows] * np.float32(127))
-    return turned

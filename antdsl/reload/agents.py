@@ -13,6 +13,7 @@ from antdsl.numerics.vector_rows import length
 from antdsl.plan import ir
 from antdsl.plan.registers import pair_values
 from antdsl.plan.traverse import required_nodes
+from antdsl.program.tables.columns import FIXED, MIGRATED_REGISTERS
 from antdsl.reload.footing import MIN_DISTANCE, align_with_ground, find_footings
 from antdsl.runtime.binding.bind_world import run_value
 from antdsl.runtime.binding.placing import give_at_birth
@@ -24,7 +25,7 @@ from antdsl.scene.setting import Setting
 
 _PLACE = frozenset(("snap", "load"))
 Rows = NDArray[np.intp]
-_ALWAYS = frozenset(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in "xyz") | {"group"}
+_MIGRATED = [name for name, column in FIXED.items() if column.migrated]
 
 
 @dataclass(slots=True)
@@ -51,11 +52,9 @@ def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Mig
     migrated = MigratedSpecies(name, len(rows))
     footing, place, moved = find_footings(old, world, old_population)
     add_rows(new_population, old_population.ids[rows].copy(), old.frame, place[rows], footing.take(rows))
-    new_population.born, new_population.quarantined = old_population.born[rows].copy(), old_population.quarantined[rows].copy()
-    new_population.normal, new_population.next_id = old_population.normal[rows].copy(), old_population.next_id
-    for event in new_population.events:
-        if event in old_population.events:
-            new_population.events[event] = old_population.events[event][rows].copy()
+    new_population.columns |= {name: old_population.columns[name][rows] for name in _MIGRATED}
+    new_population.next_id = old_population.next_id
+    new_population.events |= {name: flags[rows] for name, flags in old_population.events.items() if name in new_population.events}
     values = {
         register: old_population.now[register][rows]
         for register in _matching_registers(old, world, old_population.plan, new_population.plan, migrated)
@@ -64,10 +63,10 @@ def migrate_agents(old: World, world: World, name: str, rows: Rows) -> tuple[Mig
     _migrate_clips(old_population.plan, new_population.plan, values)
     _migrate_items(old, world, new_population.plan, values)
     _migrate_pairs(old_population, world, new_population.plan, rows, values)
-    _append_agents(new_population, values)
+    write_registers(new_population, values)
     align_with_ground(world, new_population, moved[rows])
     migrated.moved = int(np.count_nonzero(length(new_population.position - old_population.position[rows]) > MIN_DISTANCE))
-    return migrated, values | {register: new_population.now[register].copy() for register in _ALWAYS}
+    return migrated, values | {register: new_population.now[register].copy() for register in MIGRATED_REGISTERS}
 
 
 def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> None:
@@ -83,10 +82,11 @@ def fill_registers(world: World, name: str, values: dict[str, NDArray[Any]]) -> 
             give_at_birth(population, np.flatnonzero(first), crowd.place)
     initialise_newborn(world, {name: np.arange(len(population))})
     population.effects = Effects()
-    _append_agents(population, values)
+    write_registers(population, values)
 
 
-def _append_agents(population: Population, values: dict[str, NDArray[Any]]) -> None:
+def write_registers(population: Population, values: Mapping[str, NDArray[Any]]) -> None:
+    """Write registers of all agents, also as they are at the start of the next step."""
     for name, array in values.items():
         population.now[name][:] = array
         if population.start[name] is not population.now[name]:
@@ -144,7 +144,7 @@ def _changed_defaults(old: World, world: World, old_plan: ir.SpeciesPlan, new_pl
     """Return the attributes that are set only at birth, before and now, and have another birth value now. These take the new
     value."""
     one, other = birth_values(old_plan, params_at_birth(old)), birth_values(new_plan, params_at_birth(world))
-    stored = stored_registers(old_plan) | stored_registers(new_plan) | _ALWAYS
+    stored = stored_registers(old_plan) | stored_registers(new_plan) | set(MIGRATED_REGISTERS)
     attributes = {name for name, register in new_plan.registers.items() if register.role == "attribute"}
     placed = {
         name

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.float_environment import standard_floats
 from antdsl.plan import ir
-from antdsl.reload.agents import MigratedSpecies, fill_registers, migrate_agents
+from antdsl.reload.agents import MigratedSpecies, fill_registers, migrate_agents, write_registers
 from antdsl.reload.footing import is_same_solid
 from antdsl.runtime.binding.bind_world import bind_empty
 from antdsl.runtime.binding.placing import begin_agents, place_joining
@@ -119,12 +119,10 @@ def _staying_rows(old: World, setting: Setting, name: str, migration: Migration)
 def _regroup(old_setting: Setting, world: World, name: str, values: dict[str, NDArray[np.generic]]) -> None:
     """Update the number of each agent's line in the scene, which may have changed."""
     population = world.populations[name]
-    group = population.now["group"].copy()
+    group, values["group"] = population.now["group"], population.now["group"].copy()
     for was, is_now in zip(_crowd_lines(old_setting, name), _crowd_lines(world.setting, name), strict=False):
-        population.now["group"][group == was.group] = is_now.group
-    if population.start["group"] is not population.now["group"]:
-        population.start["group"][:] = population.now["group"]
-    values["group"] = population.now["group"].copy()
+        values["group"][group == was.group] = is_now.group
+    write_registers(population, {"group": values["group"]})
 
 
 # --- everything else ---------------------------------------------------------------------------------------------------

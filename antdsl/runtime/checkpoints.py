@@ -11,15 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.protocol import Footing
+from antdsl.numerics.records import part_of
 from antdsl.numerics.row_hash import describe_columns
+from antdsl.program.tables.columns import FIXED
 from antdsl.runtime.feet import walking
 from antdsl.runtime.feet.state import feet_from_arrays
 from antdsl.runtime.motion_measures import Motion
 from antdsl.runtime.moving.moving_geometry import pose_world
-from antdsl.runtime.world import Population, World
+from antdsl.runtime.world import Population, World, fixed_columns
 
 STATE_HASH = 2  # which way states are hashed; numbers of another way say nothing about a state
-_ALWAYS = ("born", "quarantined", "position", "normal")
+_HASHED = tuple(name for name, column in FIXED.items() if column.hashed)
+_STORED = ("ids", *(name for name, column in FIXED.items() if name != "ids" and column.checkpointed))
 Arrays = dict[str, NDArray[Any]]
 
 
@@ -30,22 +33,17 @@ class CheckpointError(ValueError):
 def checkpoint(world: World) -> Arrays:
     """The state between two steps, by name; the arrays are copies."""
     arrays: Arrays = {"frame": np.array(world.frame, np.int64), "faults": np.array(world.faults.count, np.int64)}
-    for name, value in world.params.items():
-        arrays[f"param.{name}"] = np.array(value)
+    arrays |= {f"param.{name}": np.array(value) for name, value in world.params.items()}
     for name, population in world.populations.items():
-        for key, array in _arrays(population).items():
-            arrays[f"species.{name}.{key}"] = array
+        arrays |= {f"species.{name}.{key}": array for key, array in _arrays(population).items()}
         arrays[f"species.{name}.next_id"] = np.array(population.next_id, np.int64)
     for name, items in world.items.items():
-        for attribute, amounts in items.amounts.items():
-            arrays[f"items.{name}.{attribute}"] = amounts
+        arrays |= {f"items.{name}.{attribute}": amounts for attribute, amounts in items.amounts.items()}
     for name, field in world.fields.items():
         arrays |= {f"field.{name}.{key}": array for key, array in field.added.items()}
         arrays[f"field.{name}"] = field.values
-    for name, flow in world.flows.items():
-        arrays |= {f"flow.{name}.{key}": array for key, array in flow.state().items()}
-    for name, feet in world.feet.items():
-        arrays |= {f"feet.{name}.{key}": array for key, array in feet.arrays().items()}
+    arrays |= {f"flow.{name}.{key}": array for name, flow in world.flows.items() for key, array in flow.state().items()}
+    arrays |= {f"feet.{name}.{key}": array for name, feet in world.feet.items() for key, array in feet.arrays().items()}
     names = sorted(world.transitions)
     arrays["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
     arrays["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)
@@ -97,9 +95,7 @@ def _restore(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     text = _take(arrays, "transitions.names").astype(np.uint8).tobytes().decode()
     counts = _take(arrays, "transitions.counts")
     world.transitions = dict(zip(text.split("\n") if text else [], (int(c) for c in counts), strict=True))
-    world.motion = Motion.of(
-        {name.removeprefix("motion."): array for name, array in arrays.items() if name.startswith("motion.")}
-    )
+    world.motion = Motion.of(part_of(arrays, "motion."))
     if world.detail is not None:
         world.detail.counts = _take(arrays, "lod.counts", world.detail.counts.shape).copy()
     world.grids.clear()
@@ -114,8 +110,7 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
     """Restore the feet of a checkpoint. A state of a run without feet has none: there, all agents stand afresh."""
     restored_feet = {}
     for name, feet in world.feet.items():
-        prefix = f"feet.{name}."
-        foot_arrays = {key.removeprefix(prefix): array for key, array in arrays.items() if key.startswith(prefix)}
+        foot_arrays = part_of(arrays, f"feet.{name}.")
         if not foot_arrays:
             walking.begin_feet(world)
             return
@@ -127,17 +122,11 @@ def _restore_feet(world: World, arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def _arrays(population: Population) -> Arrays:
-    arrays: Arrays = {"ids": population.ids, "born": population.born, "quarantined": population.quarantined}
-    arrays |= {"position": population.position, "normal": population.normal}
+    arrays: Arrays = {name: population.columns[name] for name in _STORED}
     arrays |= {f"footing.{name}": array for name, array in population.footing.columns.items()}
     arrays |= {f"event.{name}": flags for name, flags in population.events.items()}
     stored_names = (name for name, register in population.plan.registers.items() if register.role != "temp")
     return arrays | {f"register.{name}": population.now[name] for name in stored_names}
-
-
-def _footing(population: Population, arrays: Mapping[str, NDArray[Any]]) -> Footing:
-    """A footing on the same ground, from arrays with the names of `_arrays`."""
-    return Footing({name: arrays[f"footing.{name}"] for name in population.footing.columns})
 
 
 def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any]], prefix: str) -> None:
@@ -149,12 +138,10 @@ def _restore_population(population: Population, arrays: Mapping[str, NDArray[Any
         if array.dtype != like.dtype:
             raise CheckpointError(f"`{prefix}{key}` holds {array.dtype}, not {like.dtype}")
         taken[key] = array.copy()
-    population.ids, population.born = taken["ids"], taken["born"]
-    population.quarantined, population.position = taken["quarantined"], taken["position"]
-    population.normal, population.footing = taken["normal"], _footing(population, taken)
-    for name in population.events:
-        population.events[name] = taken[f"event.{name}"]
-        population.raised[name] = np.zeros(count, np.bool_)
+    population.columns = fixed_columns(count, **{name: taken[name] for name in _STORED})
+    population.footing = Footing({name: taken[f"footing.{name}"] for name in population.footing.columns})
+    population.events = {name: taken[f"event.{name}"] for name in population.events}
+    population.raised = {name: np.zeros(count, np.bool_) for name in population.events}
     for name, register in population.plan.registers.items():
         shared = population.start[name] is population.now[name]
         old = population.now[name]
@@ -199,10 +186,9 @@ def state_hash(world: World) -> str:
 
 def _hash_rows(population: Population, threads: int) -> bytes:
     """The hash of all that belongs to the state of agents."""
-    names, footing, now = population.state_registers(), population.footing.columns, population.now
-    events = sorted(population.events)
-    column_names = (*_ALWAYS, *map("footing.{}".format, footing), *names, *map("event.{}".format, events))
-    columns = [population.born, population.quarantined, population.position, population.normal, *footing.values()]
-    columns += [now[name] for name in names]
-    columns += [population.events[name] for name in events]
-    return describe_columns(column_names, columns) + population.hashed.of(population.ids, columns, threads)
+    columns = [(name, population.columns[name]) for name in _HASHED]
+    columns += [(f"footing.{name}", array) for name, array in population.footing.columns.items()]
+    columns += [(name, population.now[name]) for name in population.state_registers()]
+    columns += [(f"event.{name}", flags) for name, flags in sorted(population.events.items())]
+    names, arrays = zip(*columns, strict=True)
+    return describe_columns(names, arrays) + population.hashed.of(population.ids, arrays, threads)

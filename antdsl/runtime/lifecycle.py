@@ -5,6 +5,7 @@ What agents emitted is kept for whoever writes it down: no state, and nothing in
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,16 +15,15 @@ from antdsl.fields.cells import Cells
 from antdsl.ground.protocol import Footing
 from antdsl.plan import ir
 from antdsl.plan.traverse import operands, placed, required_nodes
+from antdsl.program.tables.columns import EMIT, FIXED, MIGRATED_REGISTERS
 from antdsl.runtime.claims import settle_gifts
 from antdsl.runtime.digging import dig
 from antdsl.runtime.moving.moving_geometry import agent_rest_positions
 from antdsl.runtime.requests import RequestEntry
-from antdsl.runtime.world import AXES, EmittedEvents, Population, World, add_rows, select_rows, shares_start, stored_registers
+from antdsl.runtime.world import AXES, Population, World, add_rows, select_rows, shares_start, stored_registers
 
-_KINDS = (("species", np.int16, ()), ("id", np.int64, ()), ("event", np.int16, ()), ("place", np.float64, (3,)),
-          ("normal", np.float32, (3,)))  # fmt: skip
 _BLOCK = 1 << 22  # pairs of emitter and receiver that are measured at once
-_CARRIED = (*(f"{vector}.{axis}" for vector in ("up", "heading", "velocity") for axis in AXES), "group")  # from parent to child
+_INHERITED = {name: column.inherited for name, column in FIXED.items() if column.inherited}  # fixed columns of newborns
 
 
 def find_cells(world: World, population: Population) -> None:
@@ -130,7 +130,8 @@ def apply_deaths_and_births(world: World) -> None:
         forget_the_dead(world, population)
 
 
-Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footing, dict[str, NDArray[np.float32]]]]
+Arrays = dict[str, NDArray[Any]]
+Births = list[tuple[Population, NDArray[np.intp], NDArray[np.float64], Footing, Arrays, Arrays]]
 
 
 def _collect_births(world: World) -> dict[str, Births]:
@@ -143,9 +144,10 @@ def _collect_births(world: World) -> dict[str, Births]:
             rows = np.concatenate([e.rows for e in entries if e.request.of == species])
             order = np.concatenate([np.full(len(e.rows), e.order) for e in entries if e.request.of == species])
             rows = rows[np.lexsort((order, population.ids[rows]))]
-            carried = {name: population.now[name][rows].copy() for name in _CARRIED} | {"normal": population.normal[rows]}
+            registers = {name: population.now[name][rows] for name in MIGRATED_REGISTERS}
+            columns = {name: population.columns[of][rows] for name, of in _INHERITED.items()}
             births.setdefault(species, []).append(
-                (population, rows, population.position[rows], population.footing.take(rows), carried)
+                (population, rows, population.position[rows], population.footing.take(rows), registers, columns)
             )
     return births
 
@@ -153,7 +155,7 @@ def _collect_births(world: World) -> dict[str, Births]:
 def _add_newborn(world: World, population: Population, births: Births) -> NDArray[np.intp]:
     """Add newborn agents to the world; return their rows."""
     old = len(population)
-    for _, rows, position, footing, carried in births:
+    for _, rows, position, footing, registers, columns in births:
         capacity = limits.AGENTS - len(world)
         count = min(len(rows), max(0, capacity))
         if count < len(rows):
@@ -163,8 +165,9 @@ def _add_newborn(world: World, population: Population, births: Births) -> NDArra
         ids = np.arange(population.next_id, population.next_id + count)
         population.next_id += count
         new = add_rows(population, ids, world.frame + 1, position[:count], footing.take(slice(count)))
-        for name, value in carried.items():
-            (population.normal if name == "normal" else population.now[name])[new] = value[:count]
+        for arrays, inherited in ((population.now, registers), (population.columns, columns)):
+            for name, value in inherited.items():
+                arrays[name][new] = value[:count]
     return np.arange(old, len(population))
 
 
@@ -232,23 +235,17 @@ def note_emission(world: World, population: Population, rows: NDArray[np.intp], 
     """Keep who emitted an event, where it was."""
     if world.emitted is None:
         return
-    names = event_names(world)
-    species = sorted(world.populations).index(population.name)
-    count = len(rows)
-    world.emitted.append(
-        EmittedEvents(
-            np.full(count, species, np.int16), population.ids[rows], np.full(count, names.index(event), np.int16),
-            population.position[rows], population.normal[rows],
-        )
-    )  # fmt: skip
+    events, species = event_names(world), sorted(world.populations)
+    numbers = {"species": species.index(population.name), "event": events.index(event)}
+    agents: Arrays = {"id": population.ids, "P": population.position, "N": population.normal}
+    emission = {name: array[rows] for name, array in agents.items()}
+    world.emitted.append(emission | {name: np.full(len(rows), number, np.int16) for name, number in numbers.items()})
 
 
-def take_emissions(world: World) -> EmittedEvents:
-    """Return the events emitted since the last call, by species, id and event."""
+def take_emissions(world: World) -> Arrays:
+    """Return the events emitted since the last call, the columns of `EMIT` by species, id and event. Positions are in mm."""
     entries, world.emitted = world.emitted or [], None if world.emitted is None else []
-    arrays = {
-        name: np.concatenate([np.empty((0, *wide), kind), *(getattr(each, name) for each in entries)])
-        for name, kind, wide in _KINDS
-    }
+    empty = {column.field: np.empty((0, *column.dimensions()), column.type) for column in EMIT}
+    arrays = {name: np.concatenate([none, *(each[name] for each in entries)]) for name, none in empty.items()}
     order = np.lexsort((arrays["event"], arrays["id"], arrays["species"]))
-    return EmittedEvents(*(array[order] for array in arrays.values()))
+    return {name: array[order] for name, array in arrays.items()}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import cache, partial
 from itertools import chain
 from math import fsum
@@ -36,11 +36,6 @@ _STILL = 0.03  # of max_speed: standing
 _TOUCH = 0.01  # of the room that two take: closer than this they stand in each other
 _DEEP_SHARE = 0.05  # of its width: farther in another than this an agent is seen to be
 _AT_EVERY_STEP = 2_000  # agents up to which trunks are measured in every step; with k times as many, about every k steps
-_COUNTS = (
-    "turns", "tilts", "overlaps", "standing", "wishing", "ways", "circling", "straightness", "steps",
-    "tilt_max", "step_max", "heads", "heads_inside", "placed", "overlapping", "deep_max",
-)  # fmt: skip
-_WINDOW_COLUMNS = ("ids", "start", "path", "age")
 _POSE_REGISTERS = tuple(f"{name}.{axis}" for name in ("position", "heading", "up") for axis in AXES)
 _MOTION_REGISTERS = tuple(f"{name}.{axis}" for name in ("velocity", "push") for axis in AXES)
 _COUNTED = (*_POSE_REGISTERS, *_MOTION_REGISTERS, "max_speed", "size")
@@ -91,8 +86,8 @@ class Motion:
     def reset(self) -> None:
         """Restart the measures, for example after a preroll; how the crowd was placed stays known."""
         fresh = Motion(placed=self.placed, overlapping=self.overlapping)
-        for name in (*_COUNTS, "half_max", "counted", "windows"):
-            setattr(self, name, getattr(fresh, name))
+        for each in fields(self):
+            setattr(self, each.name, getattr(fresh, each.name))
 
     def begin(self, world: World) -> None:
         """Count the agents that stand inside another, of any species, before any agent moves."""
@@ -240,6 +235,10 @@ class Motion:
             "deep_max": self.deep_max,
             "straightness": self.straightness / max(1, self.ways),
         }
+
+
+_COUNTS = tuple(each.name for each in fields(Motion))[:-3]  # those in checkpoints
+_WINDOW_COLUMNS = tuple(each.name for each in fields(Window) if each.init)
 
 
 def _degrees(half: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Generic, Literal, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,7 @@ from antdsl.numerics.row_copies import RowCopies, copy_rows
 from antdsl.numerics.row_hash import RowHash
 from antdsl.numerics.sorting import stable_order
 from antdsl.plan import ir
+from antdsl.program.tables.columns import FIXED, REGISTERS
 from antdsl.runtime.requests import Effects
 from antdsl.scene.setting import Setting
 
@@ -42,7 +43,8 @@ DTYPES: Mapping[ir.Kind, type[np.generic]] = {
 }  # fmt: skip
 AXES = ("x", "y", "z")
 PUSHED = "moved"  # mm, by contacts in one step; a register of species with a program that reads it
-MOVED = tuple(f"{name}.{axis}" for name in ("position", "velocity", "heading", "up") for axis in AXES)
+MOVED = tuple(name for column in REGISTERS.values() if column.shape for name in column.registers)
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,17 +84,33 @@ class Items:
             np.copyto(self.visible_values[name], amount, casting="same_kind")
 
 
+class FixedColumn(Generic[Scalar]):
+    """A typed attribute for the array of a population that has its name in `FIXED`."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self._name = name
+
+    def __get__(self, population: Population, owner: type | None = None) -> NDArray[Scalar]:
+        return population.columns[self._name]
+
+    def __set__(self, population: Population, array: NDArray[Scalar]) -> None:
+        population.columns[self._name] = array
+
+
 @dataclass(slots=True, eq=False)
 class Population:
-    """All living agents of one species, one row each; the row is not observable."""
+    """All living agents of one species, one row each; the row is not observable. `columns`: the arrays of `FIXED`."""
+
+    ids = FixedColumn[np.int64]()
+    born = FixedColumn[np.int64]()
+    quarantined = FixedColumn[np.bool_]()
+    position = FixedColumn[np.float64]()
+    normal = FixedColumn[np.float32]()
 
     plan: ir.SpeciesPlan
-    ids: NDArray[np.int64]
-    born: NDArray[np.int64]  # frame of birth
-    quarantined: NDArray[np.bool_]
+    columns: dict[str, NDArray[Any]]
     start: dict[str, NDArray[Any]]
     now: dict[str, NDArray[Any]]
-    position: NDArray[np.float64]  # (n, 3) mm
     footing: Footing
     events: dict[str, NDArray[np.bool_]]
     raised: dict[str, NDArray[np.bool_]]  # to be seen in the next step
@@ -104,7 +122,6 @@ class Population:
     version: int = 0  # changes whenever rows do
     reordered: tuple[NDArray[np.int64], NDArray[np.intp]] | None = None  # ids before the last `select_rows`, and the rows of it
     next_id: int = 0
-    normal: NDArray[np.float32] = field(default_factory=lambda: np.empty((0, 3), np.float32))  # of what the feet are on, its side
     laid: tuple[NDArray[Any], ...] | None = None  # bodies of those who lean, while a step shows them as their feet stand
     rooms: dict[str, tuple[NDArray[Any], ...]] = field(default_factory=dict)  # by name: see `room`
     copies: RowCopies = field(default_factory=RowCopies)  # of registers, once what was written becomes what all see
@@ -143,7 +160,7 @@ class Population:
         return self.plan.name
 
     def __len__(self) -> int:
-        return len(self.ids)
+        return len(self.columns["ids"])
 
     def sorted_ids(self) -> tuple[NDArray[np.int64], NDArray[np.intp]]:
         """Return ids in ascending order, and their rows. Both arrays are read-only for callers."""
@@ -216,18 +233,6 @@ class Backend(Protocol):
         """Return sentences for the user about what differs from the request; none of it changes a result."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EmittedEvents:
-    """Agents that emitted an event: species (by name) and id, the event's name among all that are handled, position (k, 3) mm and
-    ground normal there."""
-
-    species: NDArray[np.int16]
-    id: NDArray[np.int64]
-    event: NDArray[np.int16]
-    place: NDArray[np.float64]
-    normal: NDArray[np.float32]
-
-
 @dataclass(slots=True, eq=False)
 class World:
     """A bound plan during a run.
@@ -264,7 +269,7 @@ class World:
     touching: dict[tuple[str, str], Touching] | None = None  # of this step, by both species; None: not computed yet
     transitions: dict[str, int] = field(default_factory=dict)
     carved: dict[str, list[NDArray[np.float64]]] | None = None  # balls (k, 4) since the last retrieval; None: not recorded
-    emitted: list[EmittedEvents] | None = None  # since the last retrieval; None: not recorded
+    emitted: list[dict[str, NDArray[Any]]] | None = None  # columns of `EMIT` since the last retrieval; None: not recorded
     spec_values: dict[str, np.float32] = field(default_factory=dict)  # numbers about wholes that a spec asks for, by name
     detail: Detail | None = None
     crowded: list[OvercrowdedLine] = field(default_factory=list)  # lines of the crowd that found no room for all
@@ -315,19 +320,16 @@ def empty_population(plan: ir.SpeciesPlan, ground: Ground) -> Population:
     now = {name: np.empty(0, DTYPES[r.kind]) for name, r in plan.registers.items()}
     stored = stored_registers(plan)
     start = {name: array if shares_start(plan, name, stored) else np.empty(0, array.dtype) for name, array in now.items()}
-    events = {name: np.empty(0, np.bool_) for name in plan.handles}
-    return Population(
-        plan=plan,
-        ids=np.empty(0, np.int64),
-        born=np.empty(0, np.int64),
-        quarantined=np.empty(0, np.bool_),
-        start=start,
-        now=now,
-        position=np.empty((0, 3)),
-        footing=ground.nowhere(0),
-        events=events,
-        raised={name: array.copy() for name, array in events.items()},
-    )
+    events, raised = ({name: np.empty(0, np.bool_) for name in plan.handles} for _ in range(2))
+    return Population(plan, fixed_columns(0), start, now, ground.nowhere(0), events, raised)
+
+
+def fixed_columns(count: int, **known: Any) -> dict[str, NDArray[Any]]:
+    """Return the arrays of `FIXED` for new rows: the `known` ones, and the others at their zeros."""
+    return {
+        name: np.asarray(known[name]) if name in known else np.full((count, *column.dimensions()), column.zero, column.type)
+        for name, column in FIXED.items()
+    }
 
 
 def select_rows(population: Population, rows: NDArray[np.intp]) -> None:
@@ -356,9 +358,9 @@ def publish_state(population: Population, threads: int, rows: NDArray[np.intp] |
 def _pick_columns(population: Population, rows: NDArray[np.intp]) -> None:
     """Reorder everything but the registers to these rows."""
     population.reordered = (population.ids, rows)
-    population.ids, population.born = population.ids.take(rows), population.born.take(rows)
-    population.quarantined, population.position = population.quarantined.take(rows), _pick_vectors(population.position, rows)
-    population.normal, population.footing = population.normal.take(rows, axis=0), population.footing.take(rows)
+    for name, array in population.columns.items():
+        population.columns[name] = _pick_vectors(array, rows) if name == "position" else array.take(rows, axis=0)
+    population.footing = population.footing.take(rows)
     population.cells.clear()
     for table in (population.events, population.raised):
         for name, array in table.items():
@@ -376,11 +378,9 @@ def _pick_vectors(vectors: NDArray[Any], rows: NDArray[np.intp]) -> NDArray[Any]
 def add_rows(population: Population, ids: NDArray[np.int64], frame: int, place: NDArray[np.float64], footing: Footing) -> slice:
     """Append agents with all registers zero; return their rows."""
     old, count = len(population), len(ids)
-    population.ids = np.concatenate([population.ids, ids])
-    population.born = np.concatenate([population.born, np.full(count, frame, np.int64)])
-    population.quarantined = np.concatenate([population.quarantined, np.zeros(count, np.bool_)])
-    population.position = np.concatenate([population.position, place])
-    population.normal = np.concatenate([population.normal, np.zeros((count, 3), np.float32)])
+    added = fixed_columns(count, ids=ids, born=np.full(count, frame, np.int64), position=place)
+    for name, array in population.columns.items():
+        population.columns[name] = np.concatenate([array, added[name]])
     population.footing = Footing.concatenate(population.footing, footing)
     for table in (population.events, population.raised):
         for name, array in table.items():

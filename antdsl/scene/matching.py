@@ -11,6 +11,7 @@ from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Const, Kind, Program
+from antdsl.program.tables.columns import ATTRIBUTES
 from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.units import format_number
 from antdsl.scene import field_settings
@@ -22,9 +23,6 @@ from antdsl.scene.field_settings import check_spreading
 from antdsl.scene.kinds import KINDS
 from antdsl.scene.load import Scene
 from antdsl.scene.quantities import Quantity
-
-# Attributes of a cache frame in addition to those of the species.
-FRAME_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "group")
 
 
 def match_scene(scene: Scene, program: Program) -> Report:
@@ -240,7 +238,7 @@ def _check_detail(scene: Scene, program: Program, report: Report) -> None:
 
 
 def _check_output(scene: Scene, program: Program, report: Report) -> None:
-    known = set(FRAME_ATTRIBUTES)
+    known = set(ATTRIBUTES)
     for species in program.species.values():
         known |= {attribute.name for attribute in species.attributes if attribute.type.kind is Kind.NUMBER}
         known |= {f"{machine.name}.state" for machine in species.machines}

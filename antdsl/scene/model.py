@@ -9,6 +9,7 @@ from pydantic import BeforeValidator, Discriminator, Field, Tag
 
 from antdsl import limits
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.tables.columns import DEFAULT_ATTRIBUTES
 from antdsl.scene.crowd_model import CrowdLine as CrowdLine
 from antdsl.scene.crowd_model import Placement as Placement
 from antdsl.scene.crowd_model import Walk as Walk
@@ -38,7 +39,6 @@ Stick = Annotated[str, BeforeValidator(one_of("triangles", "rays"))]
 Orient = Annotated[str, BeforeValidator(one_of("normal", "turns", "probes"))]
 Contacts = Annotated[Literal["off", "soft", "hard"], BeforeValidator(one_of("off", "soft", "hard"))]
 
-DEFAULT_ATTRIBUTES = ("P", "v", "orient", "id", "pscale", "Cd", "state")
 
 # The key that says what a thing of the world is, unless it is the name of an item.
 THING_MODELS: dict[str, type[ThingModel]] = {

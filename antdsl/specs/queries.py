@@ -21,7 +21,7 @@ from antdsl.program.expectations import MOTION
 from antdsl.runtime.backends import BACKENDS
 from antdsl.runtime.lifecycle import find_cells
 from antdsl.runtime.requests import Effects
-from antdsl.runtime.world import AXES, DTYPES, Items, Population, World
+from antdsl.runtime.world import AXES, DTYPES, Items, Population, World, fixed_columns
 from antdsl.senses.overlaps import worst_overlaps
 from antdsl.specs.aggregates import evaluate_aggregate, evaluate_uniform
 
@@ -108,6 +108,7 @@ class Questioner:
     def _agent_population(self, spec_world: World, population: Population) -> Population:
         """Return a population with the same agents and with registers for answers."""
         respondents = copy(population)
+        respondents.columns = population.columns.copy()
         respondents.plan, respondents.effects, respondents.cells = self.plan.plan.species[population.name], Effects(), {}
         count = len(population)
         registers = respondents.plan.registers
@@ -146,8 +147,7 @@ def _make_population(
 ) -> Population:
     """Return a population of things that are not agents, at positions [n,3], without ground."""
     n = len(place)
-    no_flags, ids = np.zeros(n, np.bool_), np.arange(n)
-    return Population(plan, ids, np.zeros(n, np.int64), no_flags, start, now, place, Footing.nowhere(n), {}, {})
+    return Population(plan, fixed_columns(n, ids=np.arange(n), position=place), start, now, Footing.nowhere(n), {}, {})
 
 
 def _answer_arrays(registers: Mapping[str, ir.Register], known: Mapping[str, Any], count: int) -> dict[str, NDArray[Any]]:

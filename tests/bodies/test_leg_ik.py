@@ -18,6 +18,7 @@ from antdsl.bodies.agents.machine_clips import MachineClips, playing_of_machines
 from antdsl.bodies.agents.poses import Poses, clip_table
 from antdsl.bodies.body import rotation_matrices
 from antdsl.bodies.files.reading import read_definition
+from antdsl.numerics.records import take_rows
 
 N = 40
 
@@ -136,4 +137,4 @@ def test_feet_beside_bodies_are_as_placed_ones_seen_from_them() -> None:
     )
     beside = placed_feet.relative_to(position, orient, scale)
     assert np.allclose(beside.place, local, atol=1e-5) and np.allclose(beside.rise, 1 / scale)
-    assert np.array_equal(placed_feet.rows(np.array([2])).P, placed_feet.P[2:3])
+    assert np.array_equal(take_rows(placed_feet, np.array([2])).P, placed_feet.P[2:3])

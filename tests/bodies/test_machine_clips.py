@@ -12,6 +12,7 @@ from antdsl.bodies.agents.blending import OVER, posed
 from antdsl.bodies.agents.definition import TransformGroup
 from antdsl.bodies.agents.machine_clips import MachineClips, PlayedClip, playing_of_machines
 from antdsl.bodies.agents.poses import clip_table
+from antdsl.numerics.records import take_rows
 
 # A trunk, an arm and a leg beside each other; clips put them at heights: rest 0, low 1, high 3.
 JOINTS = {"trunk": "", "arm": "", "leg": ""}
@@ -87,7 +88,7 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
     together = posed(table, body.groups, playing).world
     assert together[:, 1, 1, 3] == pytest.approx([0.25, 0.25, 0.5, 1.0, 0.75]) and together[4, 0, 1, 3] == 0
     for k in range(5):
-        alone = posed(table, body.groups, playing_of_machines(table, clips, [all_rows.rows(np.array([k]))], 1)).world
+        alone = posed(table, body.groups, playing_of_machines(table, clips, [take_rows(all_rows, np.array([k]))], 1)).world
         assert np.array_equal(alone[0], together[k])
 
 
@@ -139,5 +140,5 @@ def test_clips_give_way_as_an_agent_turns_and_climbs(lean: tuple[float, float], 
     leans = np.array([lean], np.float32)
     matrices = posed(table, body.groups, playing_of_machines(table, clips, [machine(0)], 1, leans)).world
     assert float(matrices[0, 0, 1, 3]) == pytest.approx(height, abs=1e-5)
-    pair = playing_of_machines(table, clips, [machine(0).rows(np.array([0, 0]))], 2, np.array([lean, (0, 0)], np.float32))
+    pair = playing_of_machines(table, clips, [take_rows(machine(0), np.array([0, 0]))], 2, np.array([lean, (0, 0)], np.float32))
     assert [float(y) for y in posed(table, body.groups, pair).world[:, 0, 1, 3]] == pytest.approx([height, 1], abs=1e-5)

@@ -7,6 +7,8 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import column_tables
+
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -67,6 +69,11 @@ def test_the_page_of_commands_has_all_commands_and_flags() -> None:
         assert f"`antdsl {name}" in text
         flags = [flag for part in command.params for flag in part.opts if flag.startswith("--")]
         assert [flag for flag in flags if flag not in text and flag != "--help"] == [], name
+
+
+def test_the_page_of_the_cache_has_the_arrays_of_frames() -> None:
+    text = column_tables.PAGE.read_text(encoding="utf-8")
+    assert column_tables.page(text) == text, "run `python tests/column_tables.py`"
 
 
 PARITY_IDS = [

@@ -41,7 +41,6 @@ from antdsl.bodies.body import orientation
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.skinned_mesh import blend_targets
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.timeline import LightFrame
 from antdsl.preview.viewing.acting import blend_weights, pack_clips, stance_arrays
 from antdsl.preview.viewing.bodies import Outfit, rig_packet, traits
 from antdsl.runtime.feet.state import Feet
@@ -169,14 +168,14 @@ def legged() -> Definition:
     return replace(body, legs=(Leg("left", "j3", "j4", "j5"), Leg("right", "j1", "j2", "j6")), clips=clips)
 
 
-def standing(count: int) -> tuple[Feet, LightFrame]:
+def standing(count: int) -> tuple[Feet, dict[str, NDArray[Any]]]:
     """Feet here and there around agents that look anywhere, on sloping ground."""
     random = np.random.default_rng(9)
     position = random.uniform(0, 60, (count, 3)).astype(np.float32)
     heading, up = (
         np.rint(127 * random.normal(mean, 0.3, (count, 3))).clip(-127, 127).astype(np.int8) for mean in ((1, 0, 0), (0, 1, 0))
     )
-    light = LightFrame(np.arange(10, 10 + count), position, heading, up, np.full(count, 4, np.float32), {})
+    light = {"id": np.arange(10, 10 + count), "position": position, "heading": heading, "up": up, "size": np.full(count, 4, "f4")}
     feet = Feet.none(2)
     feet.shown = position.T[:, :, None] + random.normal(0, 2.5, (3, count, 2))
     feet.swing = np.where(random.random((count, 2)) < 0.6, np.float32(-1), np.float32(0.5))
@@ -226,8 +225,8 @@ def test_legs_are_bent_as_antdsl_bends_them(page: Stage) -> None:
     placed = PlacedFeet(
         feet.shown.transpose(1, 2, 0), feet.is_standing.astype(np.uint8), feet.phase, feet.rise, slope_quaternions(feet.slope)
     )
-    turned = orientation(light.heading.astype(np.float64), light.up.astype(np.float64))
-    beside = placed.relative_to(light.position, turned, light.size).scale_trunk(stands)
+    turned = orientation(light["heading"].astype(np.float64), light["up"].astype(np.float64))
+    beside = placed.relative_to(light["position"], turned, light["size"]).scale_trunk(stands)
     poses = posed(table, body.groups, playing(table, plays))
     expected = in_bones(body, level, legs.bend_legs(poses, beside, stands).world)
     assert np.abs(expected - expected_bones(body, plays, level)).max() > 0.3, "legs and trunks are moved"

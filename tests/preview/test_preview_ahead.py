@@ -58,10 +58,10 @@ def test_paths_are_where_the_agents_will_be_and_the_session_is_as_it_was(session
     assert list(ahead.frames) == list(range(4, 4 + 48 + 1)), "2 seconds at 24 frames"
     assert session.hash == initial_hash and session.timeline.curves == initial_curves and session.frame == 4
     for frame in range(4, 20):
-        assert ahead.frames[frame]["forager"].position.tobytes() == positions_by_id(session).tobytes()
+        assert ahead.frames[frame]["forager"]["position"].tobytes() == positions_by_id(session).tobytes()
         session.step()
-    displacement = ahead.frames[12]["forager"].position - ahead.frames[4]["forager"].position
-    straight = (ahead.frames[5]["forager"].position - ahead.frames[4]["forager"].position) * 8
+    displacement = ahead.frames[12]["forager"]["position"] - ahead.frames[4]["forager"]["position"]
+    straight = (ahead.frames[5]["forager"]["position"] - ahead.frames[4]["forager"]["position"]) * 8
     assert np.abs(displacement - straight).max() > 2, "no straight extrapolation"
 
 
@@ -84,15 +84,15 @@ def test_an_edit_makes_other_paths(session: Session) -> None:
     for _ in range(6):
         session.step()
     ahead = filled(Ahead(), session)
-    initial_positions = ahead.frames[40]["forager"].position
+    initial_positions = ahead.frames[40]["forager"]["position"]
     assert session.set("forager.smell", "200 mm").ok
     assert ahead.lacks(session) and not ahead.frames
     filled(ahead, session)
-    assert not np.array_equal(ahead.frames[40]["forager"].position, initial_positions)
+    assert not np.array_equal(ahead.frames[40]["forager"]["position"], initial_positions)
     for _ in range(3):
         session.step()
     assert session.layer("forager", "give_way(radius: 2.2 * size)", on=False).ok
-    edit_frame, later = session.frame, filled(ahead, session).frames[session.frame + 12]["forager"].position
+    edit_frame, later = session.frame, filled(ahead, session).frames[session.frame + 12]["forager"]["position"]
     session.seek(edit_frame - 5)
     filled(ahead, session)
     assert max(ahead.frames) == edit_frame, "history was otherwise from the edit on: paths end there"

@@ -130,7 +130,7 @@ def test_it_stops_where_agents_enter_a_state(scene: Path) -> None:
     stops = driver.play(40)
     light = driver.session.timeline.light
     for frame in range(2, 42):  # in these frames and no others, as the frames themselves have it
-        previous_states, now = (light[each]["walker"].states["main"] for each in (frame - 1, frame))
+        previous_states, now = (light[each]["walker"]["state/main"] for each in (frame - 1, frame))
         assert (frame in stops) == bool(((now == 1) & (previous_states == 0)).any()), frame
     first = min(stops)
     assert stops[first] == Stop(f"walker 0, 1, 2 entered rest at frame {first}", "walker", (0, 1, 2))

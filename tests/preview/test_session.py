@@ -284,7 +284,7 @@ def test_memory_stays_in_its_budget_and_the_oldest_goes_first(shot: Path) -> Non
     hashes = go(session, 60)
     timeline = session.timeline
     array_sizes = {
-        id(array): array.nbytes for lights in timeline.light.values() for light in lights.values() for array in light.arrays()
+        id(array): array.nbytes for lights in timeline.light.values() for light in lights.values() for array in light.values()
     }
     assert timeline.light.nbytes == sum(array_sizes.values())
     assert timeline.nbytes <= 150_000 + max(sum(a.nbytes for a in c.values()) for c in timeline.stretches[0].checkpoints.values())
@@ -300,7 +300,7 @@ def test_light_frames_show_agents_without_simulating(shot: Path) -> None:
     light_frame = session.light_at(3)
     assert light_frame is not None
     session.seek(3)
-    assert (light_frame["forager"].position == session.world.populations["forager"].position.astype("f4")).all()
+    assert (light_frame["forager"]["position"] == session.world.populations["forager"].position.astype("f4")).all()
     assert session.light_at(99) is None
 
 

@@ -29,15 +29,6 @@ class DrivenPose:
     draws: VariationDraws | None = None
     lean: Floats | None = None
 
-    def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> DrivenPose:
-        """The same of some agents."""
-        return DrivenPose(
-            {name: each[chosen] for name, each in self.channels.items()},
-            {name: each[chosen] for name, each in self.looks.items()},
-            None if self.draws is None else self.draws.rows(chosen),
-            None if self.lean is None else self.lean[chosen],
-        )
-
 
 def with_channels(table: ClipTable, poses: Poses, channels: Mapping[str, Floats]) -> Poses:
     """Return poses in which the given channel values are set where finite. A channel that the rig does not have is ignored."""

@@ -54,10 +54,6 @@ class PlacedFeet:
     rise: Floats
     tilt: Floats
 
-    def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> PlacedFeet:
-        """The same of some agents."""
-        return PlacedFeet(self.P[chosen], self.down[chosen], self.phase[chosen], self.rise[chosen], self.tilt[chosen])
-
     def relative_to(
         self, position: NDArray[np.floating], orient: NDArray[np.floating], scale: NDArray[np.floating]
     ) -> FeetOfBodies:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,12 +34,6 @@ class MachineClips:
     earlier_weight: Floats | None = None
     earlier_fade: Floats | None = None
 
-    def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> MachineClips:
-        """The same of some agents."""
-        parts: list[Any] = [getattr(self, name) for name in FIELDS]
-        row_parts: list[Any] = [None if part is None else part[chosen] for part in parts]
-        return MachineClips(*row_parts)
-
     def clip_slots(self) -> Iterator[tuple[NDArray[np.int16], Floats, Floats]]:
         """Yield clips, turns and shares of the pose float32[n], from the clip that fades out first to the current one."""
         fade = np.clip(self.fade, 0, 1)
@@ -54,7 +48,6 @@ class MachineClips:
 
 
 EARLIER = ("earlier", "earlier_turns", "earlier_weight", "earlier_fade")
-FIELDS = ("clip", "turns", "weight", "before", "before_turns", "before_weight", "fade", *EARLIER)
 
 
 class PlayedClip(NamedTuple):

@@ -22,10 +22,6 @@ class VariationDraws:
     seed: int = 0
     species: str = ""
 
-    def rows(self, chosen: NDArray[np.intp] | NDArray[np.bool_]) -> VariationDraws:
-        """The same of some agents."""
-        return VariationDraws(self.ids[chosen], self.seed, self.species)
-
     def of(self, what: str) -> Floats:
         """Return a number from 0 to 1 per agent, constant for its whole life: float32[n]."""
         return uniform(self.seed, 0, self.species, f"variation {what}", 0, self.ids)

@@ -14,95 +14,59 @@ from numpy.typing import NDArray
 
 from antdsl.numerics import parallel
 from antdsl.outputs.cache import frame_loops
+from antdsl.program.tables.columns import ATTRIBUTES, Column
 from antdsl.runtime.world import AXES, Population, World
 
 Arrays = dict[str, NDArray[Any]]
-_KINDS: Mapping[str, tuple[Any, tuple[int, ...]]] = {
-    "P": (np.float32, (3,)), "v": (np.float32, (3,)), "orient": (np.float32, (4,)), "Cd": (np.float32, (3,)),
-    "state": (np.int16, ()), "species": (np.int16, ()),
-}  # fmt: skip
 
 
 class AgentArrays:
     """Builder of the agents' arrays. `scale`: scene units per millimetre. `factors`: multipliers of a species' numbers, 1 by
     default. `pairs`: names for which a species has one value per pair."""
 
-    def __init__(
-        self, world: World, scale: float, factors: Mapping[tuple[str, str], float], pairs: Mapping[str, Container[str]]
-    ) -> None:
+    def __init__(self, scale: float, factors: Mapping[tuple[str, str], float], pairs: Mapping[str, Container[str]]) -> None:
         self.scale, self.factors, self.pairs = scale, factors, pairs
-        self.colours = {name: _colours(p) for name, p in world.populations.items()}
 
     def arrays(self, world: World, attributes: tuple[str, ...]) -> Arrays:
         """The arrays of these names."""
         populations = [world.populations[name] for name in sorted(world.populations)]
-        count, output = sum(map(len, populations)), Arrays()
+        output = Arrays()
         for attribute in attributes:
-            if attribute == "id":
-                ids = [population.sorted_ids()[0] for population in populations]
-                output["id"] = ids[0] if len(ids) == 1 else np.concatenate(ids)
-                continue
-            kind, shape = _KINDS.get(attribute, (np.float32, ()))
-            output[attribute] = np.empty((count, *shape), kind)
-            begin = 0
-            for number, population in enumerate(populations):
-                end = begin + len(population)
-                self._write(world, attribute, number, population, output[attribute][begin:end])
-                begin = end
+            column, end = ATTRIBUTES.get(attribute), 0
+            kind, shape = ("f4", ()) if column is None else (column.frame_type, column.dimensions())
+            output[attribute] = np.empty((len(world), *shape), kind)
+            for population in populations:
+                begin, end = end, end + len(population)
+                self._write(world, attribute, population, output[attribute][begin:end])
         return output
 
-    def _write(self, world: World, attribute: str, number: int, population: Population, out: NDArray[Any]) -> None:
-        """Write an attribute of the species with this number into its rows of an array."""
+    def _write(self, world: World, attribute: str, population: Population, out: NDArray[Any]) -> None:
+        """Write an attribute of a species into its rows of an array."""
         threads = world.options.threads
-        if attribute in ("P", "v", "orient"):
-            write_placed(population, attribute, self.scale, out, threads)
-        elif attribute == "Cd":
-            write_colours(population, self.colours[population.name], out, threads)
-        elif attribute == "state":
-            _write_states(population, out, threads)
-        elif attribute == "species":
-            out[:] = number
-        elif attribute == "age":
-            out[:] = (world.frame - population.born[population.in_id_order()]) * world.dt
-        elif attribute == "pscale":
-            write_numbers(population, "size", self.scale, out, threads)
+        column = ATTRIBUTES.get(attribute)
+        if column is not None and column.kind == "derived":
+            VALUES[column.name](world, population, out)
+        elif column is not None:
+            write_column(population, column, self.scale, out, threads)
         elif attribute not in population.plan.registers or attribute in self.pairs[population.name]:
             out[:] = np.nan
         else:
             write_numbers(population, attribute, self.factors.get((population.name, attribute), 1.0), out, threads)
 
 
-def write_placed(population: Population, attribute: str, scale: float, out: NDArray[np.float32], threads: int = 1) -> None:
-    """Write `P`, `v` or `orient` of agents by id, [n, 3 or 4]."""
-    ranks = population.id_ranks()
-    if attribute == "P":
-        work: Callable[[int, int], Any] = partial(frame_loops.agent_positions, population.position, ranks, scale, out)
-    elif attribute == "v":
-        work = partial(frame_loops.agent_vectors, _columns(population, "velocity"), ranks, scale, out)
+def write_column(population: Population, column: Column, scale: float, out: NDArray[Any], threads: int = 1) -> None:
+    """Write a fixed array or registers of agents by id, in the units of frames."""
+    ranks, factor = population.id_ranks(), column.factor(scale)
+    if column.kind == "register" and not column.shape:
+        write_numbers(population, column.name, factor, out, threads)
+    elif column.kind == "register":
+        work = partial(frame_loops.agent_vectors, _columns(population, column.name), ranks, factor, out)
+        parallel.in_parts(work, len(ranks), threads)
+    elif column.shape:
+        work = partial(frame_loops.agent_positions, population.columns[column.name], ranks, factor, out)
+        parallel.in_parts(work, len(ranks), threads)
     else:
-        work = partial(frame_loops.agent_orientations, _columns(population, "heading"), _columns(population, "up"), ranks, out)
-    parallel.in_parts(work, len(ranks), threads)
-
-
-def write_colours(population: Population, colours: NDArray[np.float32], out: NDArray[np.float32], threads: int = 1) -> None:
-    """Write the state colours of agents, [n, 3]. Raises IndexError for an invalid state."""
-    machines = population.plan.machines
-    if not machines:
-        out[:] = colours[0]
-        return
-    ranks = population.id_ranks()
-    work = partial(frame_loops.agent_colours, colours, population.now[f"{machines[0].name}.state"], ranks, out)
-    if not all(parallel.in_parts(work, len(ranks), threads, parallel.LIGHT)):
-        raise IndexError("a state that does not belong to the species has no colour")
-
-
-def _write_states(population: Population, out: NDArray[np.int16], threads: int) -> None:
-    machines = population.plan.machines
-    if machines:
-        work = partial(frame_loops.agent_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
-        parallel.in_parts(work, len(population), threads, parallel.LIGHT)
-    else:
-        out[:] = 0
+        out[:] = population.columns[column.name].take(population.in_id_order())
 
 
 def write_numbers(population: Population, name: str, factor: float, out: NDArray[np.float32], threads: int = 1) -> None:
@@ -115,10 +79,49 @@ def write_numbers(population: Population, name: str, factor: float, out: NDArray
         out[:] = of.take(population.in_id_order()).astype(np.float32, copy=False) * np.float32(factor)
 
 
-def _colours(population: Population) -> NDArray[np.float32]:
+def write_colours(world: World, population: Population, out: NDArray[np.float32]) -> None:
+    """Write the state colours of agents, [n, 3]. Raises IndexError for an invalid state."""
     machines = population.plan.machines
-    return np.array(machines[0].colours if machines else ((1.0, 1.0, 1.0),), np.float32)
+    if not machines:
+        out[:] = 1.0
+        return
+    colours, ranks = np.array(machines[0].colours, np.float32), population.id_ranks()
+    work = partial(frame_loops.agent_colours, colours, population.now[f"{machines[0].name}.state"], ranks, out)
+    if not all(parallel.in_parts(work, len(ranks), world.options.threads, parallel.LIGHT)):
+        raise IndexError("a state that does not belong to the species has no colour")
+
+
+def _write_states(world: World, population: Population, out: NDArray[np.int16]) -> None:
+    machines = population.plan.machines
+    if machines:
+        work = partial(frame_loops.agent_integers, population.now[f"{machines[0].name}.state"], population.id_ranks(), out)
+        parallel.in_parts(work, len(population), world.options.threads, parallel.LIGHT)
+    else:
+        out[:] = 0
+
+
+def write_orientations(world: World, population: Population, out: NDArray[np.float32]) -> None:
+    """Write the orientations of agents, [n, 4]."""
+    heading, up, ranks = _columns(population, "heading"), _columns(population, "up"), population.id_ranks()
+    parallel.in_parts(partial(frame_loops.agent_orientations, heading, up, ranks, out), len(ranks), world.options.threads)
+
+
+def _write_species(world: World, population: Population, out: NDArray[np.int16]) -> None:
+    out[:] = sorted(world.populations).index(population.name)
+
+
+def _write_ages(world: World, population: Population, out: NDArray[np.float32]) -> None:
+    out[:] = (world.frame - population.born[population.in_id_order()]) * world.dt
 
 
 def _columns(population: Population, name: str) -> tuple[NDArray[np.float32], ...]:
     return tuple(population.now[f"{name}.{axis}"] for axis in AXES)
+
+
+VALUES: Mapping[str, Callable[[World, Population, NDArray[Any]], None]] = {
+    "orient": write_orientations,
+    "Cd": write_colours,
+    "state": _write_states,
+    "species": _write_species,
+    "age": _write_ages,
+}

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.records import part_of
 from antdsl.outputs.cache.cache_reader import (
     MARKER,
     STATIC,
@@ -174,7 +175,7 @@ def read_checkpoint(cache: Cache, frame: int) -> tuple[Arrays, float | None]:
         and 0 <= float(stored_error) < math.inf
     )
     worst = float(stored_error) if stored_error is not None and known else None
-    return {name.removeprefix("world."): array for name, array in arrays.items() if name.startswith("world.")}, worst
+    return part_of(arrays, "world."), worst
 
 
 class CacheWriter:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl.ground.solid import Volume
+from antdsl.numerics.records import part_of
 from antdsl.outputs.cache.cache_reader import Cache, CacheError
 from antdsl.outputs.cache.solid_pieces import Piece, join_pieces, start_volume
 from antdsl.outputs.cutting import Cut
@@ -82,8 +83,7 @@ class DugSolids:
             try:
                 arrays = self.cache.checkpoint(number)
                 for name, solid in self._kept.items():
-                    prefix = f"world.solid.{name}."
-                    solid.volume.restore({k.removeprefix(prefix): a for k, a in arrays.items() if k.startswith(prefix)})
+                    solid.volume.restore(part_of(arrays, f"world.solid.{name}."))
                 return number
             except (CacheError, ValueError, KeyError):
                 continue

@@ -19,14 +19,11 @@ from numpy.typing import NDArray
 
 from antdsl.numerics.vectors import dot
 from antdsl.outputs.cache.places import scene_places
+from antdsl.program.tables.columns import CONTACT
 from antdsl.runtime import World, take_emissions
 from antdsl.runtime.moving.capsules import Crowd, NearPairs, find_near_pairs
 
 Arrays = dict[str, NDArray[Any]]
-_CONTACT: Mapping[str, tuple[type[np.generic], tuple[int, ...]]] = {  # fields: type, and shape after the rows
-    "species": (np.int16, ()), "id": (np.int64, ()), "P": (np.float32, (3,)), "N": (np.float32, (3,)),
-    "other_species": (np.int16, ()), "other": (np.int64, ()), "depth": (np.float32, ()),
-}  # fmt: skip
 
 
 def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
@@ -35,14 +32,13 @@ def events_of(world: World, kinds: tuple[str, ...], scale: float) -> Arrays:
 
 
 def _emits(world: World, scale: float) -> Arrays:
-    emits = take_emissions(world)
-    place = scene_places(emits.place, scale)
-    return {"species": emits.species, "id": emits.id, "P": place, "N": emits.normal, "event": emits.event}
+    emissions = take_emissions(world)
+    return emissions | {"P": scene_places(emissions["P"], scale)}
 
 
 def _contacts(world: World, scale: float) -> Arrays:
     if len(world) < 2:
-        return {name: np.zeros((0, *wide), kind) for name, (kind, wide) in _CONTACT.items()}
+        return {column.field: np.zeros((0, *column.dimensions()), column.type) for column in CONTACT}
     crowd = Crowd(world)
     near = find_near_pairs(crowd)
     pairs = np.flatnonzero(near.gap < 0)

@@ -35,7 +35,7 @@ from antdsl.outputs.cache.pose_arrays import clips_playing, display_arrays, laye
 from antdsl.outputs.cache.solid_pieces import PieceMaker, start_pieces
 from antdsl.outputs.flow_arrows import arrows
 from antdsl.plan.registers import pair_values
-from antdsl.program.model import Dim, Kind, Program
+from antdsl.program.model import Kind, Program
 from antdsl.runtime.checkpoints import STATE_HASH
 from antdsl.runtime.lifecycle import event_names
 from antdsl.runtime.moving.moving_geometry import ground_velocity, vertices_at
@@ -43,7 +43,6 @@ from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import Setting
 
 Arrays = dict[str, NDArray[Any]]
-_PLAIN = {"P", "v", "orient", "id", "pscale", "Cd", "state", "species", "age", "group"}
 
 
 class FrameMaker:
@@ -66,22 +65,21 @@ class FrameMaker:
         names = tuple(each for each in attributes if each not in only)
         self.attributes = names if len(world.populations) == 1 or "species" in names else (*names, "species")
         self.factors = {
-            (species.name, a.name): self.scale ** _length_power(a.type.dim)
+            (species.name, a.name): self.scale ** float(a.type.dim.length)
             for species in program.species.values()
             for a in species.attributes
             if a.type.kind is Kind.NUMBER
         }
-        self.agents = AgentArrays(world, self.scale, self.factors, self.pairs)
+        self.agents = AgentArrays(self.scale, self.factors, self.pairs)
 
     def frame(self, world: World) -> Arrays:
         """Return all arrays of the world's current frame."""
         arrays: Arrays = {"frame": np.array(world.frame, np.int64)}
-        rows = {name: world.populations[name].in_id_order() for name in sorted(world.populations)}
         arrays |= self.agents.arrays(world, self.attributes)
-        for name in rows:
-            arrays |= clips_playing(world.populations[name], threads=world.options.threads)
-            arrays |= display_arrays(world.populations[name], world.setting)
-            arrays |= self._pair_arrays(world.populations[name], rows[name])
+        for name, population in sorted(world.populations.items()):
+            arrays |= clips_playing(population, world.options.threads)
+            arrays |= display_arrays(population, world.setting)
+            arrays |= self._pair_arrays(population, population.in_id_order())
             arrays |= placed_feet(world, name, self.scale)
         for name, field in world.fields.items():
             arrays[f"field.{name}.cells"], arrays[f"field.{name}.values"] = _nonzero_cells(np.asarray(field.values))
@@ -90,7 +88,7 @@ class FrameMaker:
         for name, items in world.items.items():
             for attribute, amount in items.amounts.items():
                 arrays[f"items.{name}.{attribute}"] = amount.copy()
-        arrays |= self._moving_arrays(world, rows)
+        arrays |= self._moving_arrays(world)
         arrays |= events_of(world, self.events, self.scale)
         return arrays if self.pieces is None else arrays | self.pieces.frame(world)
 
@@ -108,7 +106,7 @@ class FrameMaker:
             arrays[f"{of}.other"], arrays[f"{of}.value"] = who[is_known], value[is_known] * factor
         return arrays
 
-    def _moving_arrays(self, world: World, rows: Mapping[str, NDArray[np.intp]]) -> Arrays:
+    def _moving_arrays(self, world: World) -> Arrays:
         """Return the positions of moving meshes and items in this frame, and the velocity of the ground under agents."""
         moves = world.setting.moves
         arrays: Arrays = {}
@@ -116,9 +114,9 @@ class FrameMaker:
             arrays[f"mesh.{name}.vertices"] = scene_places(vertices_at(world, name, world.frame), self.scale)
         for name, positions in moves.items.items():
             arrays[f"items.{name}.P"] = ((moves.points(positions, world.frame) - world.origin) * self.scale).astype(np.float32)
-        speeds = [ground_velocity(world, world.populations[name]) for name in rows]
-        if speeds and all(speed is not None for speed in speeds):
-            parts = [speed[rows[name]] for name, speed in zip(rows, speeds, strict=True) if speed is not None]
+        speeds = [(each, ground_velocity(world, each)) for _, each in sorted(world.populations.items())]
+        parts = [speed[each.in_id_order()] for each, speed in speeds if speed is not None]
+        if parts and len(parts) == len(speeds):
             arrays["v_ground"] = (np.concatenate(parts) * self.scale).astype(np.float32)
         return arrays
 
@@ -276,7 +274,3 @@ def _species_entry(
         feelers=feelers,
         machines=machines,
     )
-
-
-def _length_power(dim: Dim) -> float:
-    return float(dim.length)

@@ -15,7 +15,7 @@ z w): how much higher than it rests and turned from `orient` the trunk is."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from functools import partial
 from typing import Any
 
@@ -25,26 +25,21 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.driving import DrivenPose
 from antdsl.bodies.agents.leg_ik import PlacedFeet
-from antdsl.bodies.agents.machine_clips import EARLIER, FIELDS, MachineClips
+from antdsl.bodies.agents.machine_clips import EARLIER, MachineClips
 from antdsl.bodies.agents.varied_bodies import VariationDraws
 from antdsl.numerics import parallel
 from antdsl.numerics.randomness import uniform
 from antdsl.outputs.cache import frame_loops
 from antdsl.outputs.cache.manifest import SpeciesEntry
+from antdsl.program.tables.columns import CLIPS, STANCE
 from antdsl.runtime.world import Population, World
 from antdsl.scene.setting import CrowdData, Setting
 
 _AXES = ("x", "y", "z")
 Arrays = Mapping[str, NDArray[Any]]
 # By field, the register behind `MACHINE.` and its type in a frame.
-_REGISTERS = {
-    "clip": ("clip", np.int16), "turns": ("clip_turns", np.float32), "weight": ("clip_weight", np.float32),
-    "before": ("clip_before", np.int16), "before_turns": ("clip_before_turns", np.float32),
-    "before_weight": ("clip_before_weight", np.float32), "fade": ("clip_fade", np.float32),
-    "earlier": ("clip_earlier", np.int16), "earlier_turns": ("clip_earlier_turns", np.float32),
-    "earlier_weight": ("clip_earlier_weight", np.float32), "earlier_fade": ("clip_earlier_fade", np.float32),
-}  # fmt: skip
-_USUAL = tuple(field for field in FIELDS if field not in EARLIER)
+_REGISTERS = {each.field: ("clip" if each.field == "clip" else f"clip_{each.field}", each.type) for each in CLIPS}
+_USUAL = tuple(field for field in _REGISTERS if field not in EARLIER)
 _CLIPS, _SHARES = ("clip", "before"), ("turns", "weight", "before_turns", "before_weight", "fade")
 
 
@@ -53,46 +48,36 @@ def playing(population: Population) -> Iterator[str]:
     return (machine.name for machine in population.plan.machines if f"{machine.name}.clip" in population.plan.registers)
 
 
-def clips_playing(population: Population, rows: NDArray[np.intp] | None = None, threads: int = 1) -> dict[str, NDArray[Any]]:
-    """The arrays of a species: of its agents at some rows, of all by id where none are given."""
+def clips_playing(population: Population, threads: int = 1) -> dict[str, NDArray[Any]]:
+    """The arrays of a species, of its agents by id. Those of the earlier clip are there if an agent has one."""
     arrays: dict[str, NDArray[Any]] = {}
     for machine in playing(population):
         now = {field: population.now[f"{machine}.{register}"] for field, (register, _) in _REGISTERS.items()}
-        early = now["earlier_fade"] > 0
-        fields = FIELDS if early.any() and (early & (now["fade"] > 0)).any() else _USUAL
-        named = f"clips.{population.name}.{machine}."
-        arrays |= {named + field: array for field, array in _told(population, rows, now, fields, threads).items()}
-    return arrays
-
-
-def _told(
-    population: Population, rows: NDArray[np.intp] | None, now: Arrays, fields: Sequence[str], threads: int
-) -> dict[str, NDArray[Any]]:
-    """Return the given fields of clips, the usual ones or more."""
-    values: dict[str, NDArray[Any]] = {}
-    if rows is None:
         values = {field: np.empty(len(population), _REGISTERS[field][1]) for field in _USUAL}
-        of = [tuple([arrays[field] for field in names]) for arrays in (now, values) for names in (_CLIPS, _SHARES)]
+        of = [tuple([each[field] for field in names]) for each in (now, values) for names in (_CLIPS, _SHARES)]
         work = partial(frame_loops.playing, of[0], of[1], population.id_ranks(), of[2], of[3])
         parallel.in_parts(work, len(population), threads)
-    rows = population.in_id_order() if rows is None else rows
-    for field in fields[len(values) :]:
-        values[field] = now[field].take(rows).astype(_REGISTERS[field][1], copy=False)
-    return values
+        early = now["earlier_fade"] > 0
+        if early.any() and (early & (now["fade"] > 0)).any():
+            rows = population.in_id_order()
+            values |= {field: now[field].take(rows).astype(_REGISTERS[field][1], copy=False) for field in EARLIER}
+        arrays |= {f"clips.{population.name}.{machine}.{field}": array for field, array in values.items()}
+    return arrays
 
 
 def machine_clips(species: str, machine: str, arrays: Arrays, count: int) -> MachineClips | None:
     """Return the clips that a machine of `count` agents plays; None where the arrays do not have them."""
-    parts: list[NDArray[Any] | None] = []
-    for field in FIELDS:
-        array = arrays.get(f"clips.{species}.{machine}.{field}")
-        if array is not None and array.shape == (count,):
-            parts.append(np.nan_to_num(np.asarray(array, _REGISTERS[field][1])))
-        elif field in EARLIER:
-            parts.append(None)
-        else:
-            return None
-    return MachineClips(*parts)  # type: ignore[arg-type]
+    named = f"clips.{species}.{machine}."
+    parts = {field: _stored(arrays, named + field, kind, count) for field, (_, kind) in _REGISTERS.items()}
+    if any(parts[field] is None for field in _USUAL):
+        return None
+    return MachineClips(**{field: None if part is None else np.nan_to_num(part) for field, part in parts.items()})  # type: ignore[arg-type]
+
+
+def _stored(arrays: Arrays, name: str, kind: str, *shape: int) -> NDArray[Any] | None:
+    """Return an array of a frame; None if it has none of this shape."""
+    array = arrays.get(name)
+    return None if array is None or array.shape != shape else np.asarray(array, kind)
 
 
 def machines_of(species: SpeciesEntry, arrays: Arrays, count: int) -> tuple[MachineClips, ...] | None:
@@ -108,24 +93,19 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
     if feet is None:
         return {}
     n, legs = len(feet), feet.legs
-    place, down = np.empty((n, legs, 3), np.float32), np.empty((n, legs), np.uint8)
-    rise, tilt = np.empty(n, np.float32), np.empty((n, 4), np.float32)
+    values = {each.field: np.empty((n, *each.dimensions(legs=legs)), each.type) for each in STANCE}
     of = parallel.contiguous(feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope)  # leg by leg, as they mostly lie
-    work = partial(frame_loops.agent_feet, *of, scale, place.reshape(n, 3 * legs), down, rise, tilt)
-    parallel.in_parts(work, n, world.options.threads)
-    values: dict[str, NDArray[Any]] = {"P": place, "down": down, "phase": feet.phase.copy(), "rise": rise, "tilt": tilt}
+    outputs = values["P"].reshape(n, 3 * legs), values["down"], values["rise"], values["tilt"]
+    parallel.in_parts(partial(frame_loops.agent_feet, *of, scale, *outputs), n, world.options.threads)
+    values["phase"] = feet.phase.copy()
     return {f"feet.{species}.{name}": array for name, array in values.items()}
 
 
 def feet_of(species: str, arrays: Arrays, count: int, legs: int) -> PlacedFeet | None:
     """Return the feet of a species in a frame with `count` agents and `legs` legs each; None where the frame does not have
     them."""
-    shapes = {"P": (count, legs, 3), "down": (count, legs), "phase": (count,), "rise": (count,), "tilt": (count, 4)}
-    parts = {name: arrays.get(f"feet.{species}.{name}") for name in shapes}
-    if not legs or any(array is None or array.shape != shapes[name] for name, array in parts.items()):
-        return None
-    place, phase, rise, tilt = (np.asarray(parts[name], np.float32) for name in ("P", "phase", "rise", "tilt"))
-    return PlacedFeet(place, np.asarray(parts["down"], np.uint8), phase, rise, tilt)
+    parts = [_stored(arrays, f"feet.{species}.{each.field}", each.type, count, *each.dimensions(legs=legs)) for each in STANCE]
+    return PlacedFeet(*parts) if legs and not any(part is None for part in parts) else None  # type: ignore[arg-type]
 
 
 def layers_worn(population: Population, setting: Setting) -> tuple[str, ...]:
@@ -134,16 +114,15 @@ def layers_worn(population: Population, setting: Setting) -> tuple[str, ...]:
     return tuple(dict.fromkeys((*population.plan.wears, *by_scene)))[: limits.LAYERS_WORN]
 
 
-def display_arrays(population: Population, setting: Setting, subset: NDArray[np.intp] | None = None) -> dict[str, NDArray[Any]]:
-    """The arrays of a species: of its agents at some rows, of all by id where none are given."""
-    name, now, plan = population.name, population.now, population.plan
-    rows = population.in_id_order() if subset is None else subset
+def display_arrays(population: Population, setting: Setting) -> dict[str, NDArray[Any]]:
+    """The arrays of a species, of its agents by id."""
+    name, now, plan, rows = population.name, population.now, population.plan, population.in_id_order()
     arrays: dict[str, NDArray[Any]] = {}
     layers = layers_worn(population, setting)
     if layers:
         mask = np.zeros(len(rows), np.uint64)
         for layer in plan.wears:
-            _set_layer_bit(population, now[f"wear#{layer}"], subset, _bit(layers, layer), mask)
+            mark_layer(population, now[f"wear#{layer}"], _bit(layers, layer), mask)
         for worn in _scene_layer_masks(population, rows, setting, layers):
             mask |= worn
         arrays[f"wears.{name}"] = mask
@@ -158,22 +137,17 @@ def display_arrays(population: Population, setting: Setting, subset: NDArray[np.
     return arrays
 
 
-def _set_layer_bit(
-    population: Population, on: NDArray[np.bool_], subset: NDArray[np.intp] | None, bit: np.uint64, mask: NDArray[np.uint64]
-) -> None:
-    """Set a bit in the masks of the agents that wear a layer: of those at some rows, or of all by id by default."""
-    if subset is None:
-        frame_loops.mark_worn(on, population.id_ranks(), bit.view(np.int64), mask.view(np.int64))
-    else:
-        mask |= np.where(on[subset], bit, np.uint64(0))
+def mark_layer(population: Population, on: NDArray[np.bool_], bit: np.uint64, mask: NDArray[np.uint64]) -> None:
+    """Set a bit in the masks, by id, of the agents that wear a layer."""
+    frame_loops.mark_worn(on, population.id_ranks(), bit.view(np.int64), mask.view(np.int64))
 
 
 def worn_masks(species: SpeciesEntry, arrays: Arrays, count: int) -> NDArray[np.uint64]:
     """Return the mask of each of `count` agents of a species in a frame; 0 for all if the frame has none."""
-    masks = arrays.get(f"wears.{species.name}")
-    if not species.wears or masks is None or masks.shape != (count,):
+    masks = _stored(arrays, f"wears.{species.name}", "u8", count)
+    if not species.wears or masks is None:
         return np.zeros(count, np.uint64)
-    return np.asarray(masks, np.uint64) & np.uint64((1 << len(species.wears)) - 1)
+    return masks & np.uint64((1 << len(species.wears)) - 1)
 
 
 def layers_of(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
@@ -184,15 +158,14 @@ def layers_of(species: SpeciesEntry, mask: int) -> tuple[str, ...]:
 def driven_values(species: SpeciesEntry, arrays: Arrays, ids: NDArray[np.int64], seed: int) -> DrivenPose:
     """Return the channels and looks that states set in a frame, for the agents of a species by id, and the differences between
     their bodies. Data that the frame lacks is left out."""
-    count = len(ids)
-    channels = {name: arrays.get(f"channels.{species.name}.{name}") for name in species.channels}
-    looks = {name: arrays.get(f"looks.{species.name}.{name}") for name in species.looks}
-    lean = arrays.get(f"leans.{species.name}")
+    of, count = species.name, len(ids)
+    channels = {name: _stored(arrays, f"channels.{of}.{name}", "f4", count) for name in species.channels}
+    looks = {name: _stored(arrays, f"looks.{of}.{name}", "f4", count, 3) for name in species.looks}
     return DrivenPose(
-        {name: np.asarray(v, np.float32) for name, v in channels.items() if v is not None and v.shape == (count,)},
-        {name: np.asarray(v, np.float32) for name, v in looks.items() if v is not None and v.shape == (count, 3)},
-        VariationDraws(ids, seed, species.name),
-        None if lean is None or lean.shape != (count, 2) else np.asarray(lean, np.float32),
+        {name: values for name, values in channels.items() if values is not None},
+        {name: values for name, values in looks.items() if values is not None},
+        VariationDraws(ids, seed, of),
+        _stored(arrays, f"leans.{of}", "f4", count, 2),
     )
 
 

@@ -10,6 +10,7 @@ from antdsl.bodies.body import orientation, rotation_matrices, vertex_normals
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.bodies.shapes import placed
 from antdsl.casting.picture_rays import PictureRays
+from antdsl.numerics.records import take_rows
 from antdsl.outputs.pictures import looks
 from antdsl.outputs.pictures.camera import View
 from antdsl.outputs.pictures.light import Sun, decode_srgb
@@ -250,7 +251,7 @@ def _pose_bodies(crowd: Crowd, body: PosedBody, rows: NDArray[np.int64], size: A
     bright = decode_srgb(np.nan_to_num(np.asarray(crowd.colour, np.float32)[rows]))[:, None, :]
     tint = body.tint[None, :, None]
     tint = tint + (1 - tint) * (0.6 * plain[rows].astype(np.float32))[:, None, None]
-    colour = bright * tint + body.colours(crowd.driven.rows(rows)) * (1 - tint)
+    colour = bright * tint + body.colours(take_rows(crowd.driven, rows)) * (1 - tint)
     place = np.asarray(crowd.position, np.float64)[rows]
     return _part(np.matmul(local * long, turn), place, then, body.faces, np.matmul(normal, turn), colour, 0.5)
 

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cache
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,6 +13,7 @@ from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import NOTHING, PosedBody
+from antdsl.numerics.records import take_rows
 
 Array = NDArray[np.float64]
 # A ground that is no floor is drawn as a figure of clay; a hill is bare soil.
@@ -82,36 +83,19 @@ class Crowd:
     def posed(self, body: PosedBody, rows: NDArray[np.intp]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
         """Return vertices and unit normals float32[n, v, 3] of some agents, in body lengths along their own axes. `body` is their
         body or its `fine` or `coarse` form."""
-        plays = [each.rows(rows) for each in self.plays]
-        return body.posed(plays, len(rows), self.feet_beside(rows), driven=self.driven.rows(rows))
+        return body.posed(take_rows(self.plays, rows), len(rows), self.feet_beside(rows), driven=take_rows(self.driven, rows))
 
     def feet_beside(self, rows: NDArray[np.intp] | NDArray[np.bool_]) -> FeetOfBodies | None:
         """Return the feet of some agents as `PosedBody.posed` expects them; None where none are known."""
         if self.feet is None:
             return None
-        return self.feet.rows(rows).relative_to(*(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale)))
+        return take_rows(self.feet, rows).relative_to(
+            *(np.asarray(each)[rows] for each in (self.position, self.orient, self.scale))
+        )
 
     def rows(self, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> "Crowd":
         """Return selected agents of the crowd. Feelers are dropped, since they have no rows of agents."""
-
-        def of(array: Any) -> Any:
-            return None if array is None else array[chosen]
-
-        return replace(
-            self,
-            position=self.position[chosen],
-            orient=self.orient[chosen],
-            scale=self.scale[chosen],
-            colour=self.colour[chosen],
-            ids=of(self.ids),
-            velocity=of(self.velocity),
-            feelers=None,
-            paths=None if self.paths is None else replace(self.paths, positions=self.paths.positions[chosen]),
-            plays=tuple(each.rows(chosen) for each in self.plays),
-            feet=None if self.feet is None else self.feet.rows(chosen),
-            driven=self.driven.rows(chosen),
-            next_crowd=None if self.next_crowd is None else self.next_crowd.rows(chosen),
-        )
+        return take_rows(replace(self, feelers=None), chosen)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

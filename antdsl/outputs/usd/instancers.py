@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.records import match_ids
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.outputs.paths import match_ids
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.usd.bank import Bank
 from antdsl.outputs.usd.moments import Agents, TimeSample

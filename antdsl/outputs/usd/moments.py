@@ -11,14 +11,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.records import match_ids
 from antdsl.numerics.vector_rows import dot
 from antdsl.outputs.cache.cache_reader import Arrays
+from antdsl.outputs.cache.frame_agents import agent_ids, further_numbers, species_rows
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.paths import match_ids
 from antdsl.outputs.pictures.model import Crowd, Picture
 
 Floats = NDArray[np.float64]
-_OWN = frozenset(["frame", "P", "v", "orient", "id", "pscale", "Cd", "species", "v_ground", "state"])
 _CACHED_FRAMES = 3  # frames in memory: the one before, this and the next
 
 
@@ -62,9 +62,10 @@ class TimeSample:
 
     def agents(self, number: int) -> Agents:
         """Return the agents of a species at this time."""
-        here = self.species[number]
-        next_agents = self.next_agents[number] if self.next_agents else None
-        return _interpolate(here, next_agents, self.share, self.dt) if self.share else here
+        agents = self.species[number]
+        if not self.share:
+            return agents
+        return _interpolate(agents, self.next_agents[number] if self.next_agents else None, self.share, self.dt)
 
 
 @dataclass(slots=True)
@@ -84,34 +85,22 @@ class TimeSamples:
         first = int(np.floor(time + 1e-9))
         first = first if first in self._known else frame
         share = float(time) - first
-        picture, _ = self._frame(first)
-        next_agents = self._frame(first + 1)[1] if first + 1 in self._known else None
-        previous_agents = self._frame(first - 1)[1] if next_agents is None and first - 1 in self._known else None
-        return TimeSample(
-            time,
-            0.0 if abs(share) < 1e-9 else share,
-            self.gallery.dt,
-            picture,
-            self._with_velocities(first),
-            next_agents,
-            previous_agents,
-            self._frame(frame)[1],
-        )
+        share = 0.0 if abs(share) < 1e-9 else share
+        picture, agents = self._frame(first)[0], self._with_velocities(first)
+        return TimeSample(time, share, self.gallery.dt, picture, agents, *self._beside(first), self._frame(frame)[1])
+
+    def _beside(self, frame: int) -> tuple[tuple[Agents, ...] | None, tuple[Agents, ...] | None]:
+        """Return the agents of the next frame, else those of the previous one; None for each that does not exist."""
+        next_agents = self._frame(frame + 1)[1] if frame + 1 in self._known else None
+        return next_agents, self._frame(frame - 1)[1] if next_agents is None and frame - 1 in self._known else None
 
     def _with_velocities(self, frame: int) -> tuple[Agents, ...]:
         """The agents of a frame, with velocities that lead to the next."""
         if frame not in self._leading:
-            agents = self._frame(frame)[1]
-            next_agents = self._frame(frame + 1)[1] if frame + 1 in self._known else None
-            previous_agents = self._frame(frame - 1)[1] if next_agents is None and frame - 1 in self._known else None
+            agents, beside = self._frame(frame)[1], self._beside(frame)
             self._leading = dict(list(self._leading.items())[1 - _CACHED_FRAMES :])
             self._leading[frame] = tuple(
-                _leading_velocities(
-                    each,
-                    next_agents[k] if next_agents else None,
-                    previous_agents[k] if previous_agents else None,
-                    self.gallery.dt,
-                )
+                _leading_velocities(each, self.gallery.dt, *(others[k] if others else None for others in beside))
                 for k, each in enumerate(agents)
             )
         return self._leading[frame]
@@ -129,8 +118,8 @@ class TimeSamples:
 def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> Agents:
     """The agents of a species in a frame, with the velocities that the cache has."""
     name = gallery.manifest.species[number].name
-    rows = np.flatnonzero(arrays["species"] == number) if "species" in arrays else np.arange(len(arrays["P"]))
-    ids = np.asarray(arrays["id"], np.int64)[rows] if "id" in arrays else np.arange(len(rows))
+    rows = species_rows(arrays, number)
+    ids = agent_ids(arrays)[rows] if "id" in arrays else np.arange(len(rows))
     if (np.diff(ids) < 0).any():
         order = np.argsort(ids, kind="stable")
         ids, rows = ids[order], rows[order]
@@ -144,11 +133,7 @@ def _agents(gallery: Gallery, picture: Picture, arrays: Arrays, number: int) -> 
     )
     colour = np.asarray(arrays["Cd"], np.float64)[rows] if "Cd" in arrays else np.full((len(rows), 3), 0.35)
     state = np.asarray(arrays["state"], np.int64)[rows] if "state" in arrays else None
-    numbers = {
-        key: values[rows]
-        for key, values in arrays.items()
-        if key not in _OWN and "." not in key.removesuffix(".state") and values.ndim == 1 and len(values) == len(arrays["P"])
-    }
+    numbers = {key: values[rows] for key, values in further_numbers(arrays, "usd")}
     if "v" in arrays:
         numbers["speed"] = np.linalg.norm(own, axis=1)
     parts = tuple(_part(crowd, ids) for crowd in picture.crowds if crowd.species == name)
@@ -170,7 +155,7 @@ def _part(crowd: Crowd, ids: NDArray[np.int64]) -> tuple[Crowd, NDArray[np.intp]
     return crowd, np.searchsorted(ids, crowd.ids)
 
 
-def _leading_velocities(agents: Agents, next_agents: Agents | None, previous_agents: Agents | None, dt: float) -> Agents:
+def _leading_velocities(agents: Agents, dt: float, next_agents: Agents | None, previous_agents: Agents | None) -> Agents:
     """Return agents with velocities that lead to the next frame; for the last frame, those that led to it."""
     other = next_agents or previous_agents
     if other is None or not len(agents.ids):

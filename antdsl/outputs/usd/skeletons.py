@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from antdsl.bodies.agents.affine import decompose_matrices, normalise
 from antdsl.bodies.agents.poses import Poses
 from antdsl.bodies.posed_body import PosedBody
+from antdsl.numerics.records import match_ids
 from antdsl.outputs.cache.manifest import SpeciesEntry
-from antdsl.outputs.paths import match_ids
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.usd.definitions import SkelDefinition, write_definition
 from antdsl.outputs.usd.materials import Looks

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from antdsl import __version__
+from antdsl.outputs.cache.frame_agents import IDENTITY, species_numbers
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.usd.instancers import InstancerWriter
 from antdsl.outputs.usd.moments import TimeSamples
@@ -87,8 +88,7 @@ def _max_agent_counts(gallery: Gallery, frames: list[int]) -> list[int]:
     count = len(gallery.manifest.species)
     most = np.zeros(count, np.int64)
     for frame in frames:
-        arrays = gallery.cache.frame(frame, frozenset(["id", "species"]))
-        which = np.asarray(arrays["species"]) if "species" in arrays else np.zeros(len(arrays.get("id", ())), np.int64)
+        which = species_numbers(gallery.cache.frame(frame, IDENTITY))
         most = np.maximum(most, np.bincount(which, minlength=count)[:count])
     counts: list[int] = most.tolist()
     return counts

@@ -14,9 +14,10 @@ from antdsl.plan.lowering.machines import MachineWriter
 from antdsl.plan.lowering.values import Value
 from antdsl.plan.lowering.writer import UnsupportedConstruct, Writer
 from antdsl.program import model
+from antdsl.program.tables.columns import REGISTERS
 from antdsl.program.traverse import inside
 
-VECTORS = ("position", "velocity", "heading", "up")
+VECTORS = tuple(name for name, column in REGISTERS.items() if column.shape)
 # The given ones in an order in which each can be made from those before it; `group` is set by the runtime, by the scene's line.
 BIRTH_ATTRIBUTES = ("size", "mass", "radius", "clearance", "max_speed", "min_speed", "response", "max_turn", "max_force")
 

@@ -22,8 +22,9 @@ from antdsl.explain import (
 )
 from antdsl.explain.model import Stretch as StateStretch
 from antdsl.pipeline import Shot
+from antdsl.preview.agent_columns import Arrays
 from antdsl.preview.session import Session
-from antdsl.preview.timeline import Arrays, Change, Stretch
+from antdsl.preview.timeline import Change, Stretch
 from antdsl.runtime import World, checkpoint
 
 _CACHED_STRETCHES = 2  # stretches with cached replays: before and after an edit
@@ -136,10 +137,10 @@ class Explainer:
         for frame, light in sorted(self.session.timeline.light.items()):
             if species not in light:
                 continue
-            rows = np.flatnonzero(light[species].ids == agent)
+            rows = np.flatnonzero(light[species]["id"] == agent)
             plan = self.session.timeline.at(frame).shot.plan.species.get(species)
             for machine in plan.machines if plan is not None and len(rows) else ():
-                state = machine.states[int(light[species].states[machine.name][rows[0]])]
+                state = machine.states[int(light[species][f"state/{machine.name}"][rows[0]])]
                 frames_by_machine.setdefault(machine.name, []).append((frame, state))
         for name, frames in frames_by_machine.items():
             yield from state_stretches(name, frames)

@@ -22,7 +22,7 @@ from antdsl.numerics.vector_rows import unit_or
 from antdsl.outputs.cache.pose_arrays import clips_playing, display_arrays, layers_worn, machine_clips, playing
 from antdsl.pipeline import Shot
 from antdsl.preview.session import Session
-from antdsl.preview.timeline import LightFrame, SpeciesPoses
+from antdsl.preview.timeline import SpeciesPoses
 from antdsl.preview.viewing.bodies import Outfit, Traits, outfit, posed_body, traits
 from antdsl.runtime import Population, World
 from antdsl.runtime.feet.state import Feet
@@ -55,69 +55,62 @@ def stored_poses(session: Session, frame: int) -> dict[str, Arrays]:
     return arrays_by_species
 
 
-def _species_poses(session: Session, population: Population, light: LightFrame) -> SpeciesPoses:
+def _species_poses(session: Session, population: Population, light: Arrays) -> SpeciesPoses:
     worn = outfit(session.world, session.shot, population)
     return SpeciesPoses(worn, action_arrays(session.world, session.shot, population, light))
 
 
-def action_arrays(world: World, shot: Shot, population: Population, light: LightFrame) -> Arrays:
+def action_arrays(world: World, shot: Shot, population: Population, light: Arrays) -> Arrays:
     """Return what bodies do, as arrays. `SPECIES/plays/MACHINE` of machines that play. For bodies with them, `SPECIES/wears`
     uint32[n] (a bit for each layer), `SPECIES/look/GROUP` int8[n, 3] (127 is 1) and `SPECIES/lean` the same (turn, slope, 0).
     `SPECIES/trait/K` float32[n, 3]: three of the values that bodies differ by, in order. `SPECIES/feet` and `SPECIES/stance`
     where feet are computed. `light`: the rest of the frame about these agents, by id."""
-    name, rows = population.name, population.in_id_order()
-    worn = outfit(world, shot, population)
-    clip_arrays = clips_playing(population, rows)
-    clips_by_machine = {each: machine_clips(name, each, clip_arrays, len(rows)) for each in playing(population)}
+    name, worn = population.name, outfit(world, shot, population)
+    stored = clips_playing(population) | display_arrays(population, world.setting)
+    clips_by_machine = {each: machine_clips(name, each, stored, len(population)) for each in playing(population)}
     machines = {each: clip for each, clip in clips_by_machine.items() if clip is not None}
     clips = [worn.definition.clips.get(clip) for clip, *_ in worn.plays]
     loops = np.array([*(clip is not None and clip.loop for clip in clips), False])
     arrays: Arrays = {f"plays/{each}": pack_clips(clip, loops) for each, clip in machines.items()}
-    arrays |= _display_arrays(world, population, rows, worn)
-    arrays |= _trait_arrays(
-        world, population, rows, worn, (*posed_body(worn).idle_clips(light.ids, world.frame * world.dt), *machines.values())
-    )
-    if name in world.feet and len(light.ids):
+    arrays |= _display_arrays(world, population, stored, worn)
+    played = (*posed_body(worn).idle_clips(light["id"], world.frame * world.dt), *machines.values())
+    arrays |= _trait_arrays(world, population, stored, worn, played)
+    if name in world.feet and len(light["id"]):
         arrays |= _stance_arrays(world, name, worn, light, tuple(machines.values()))
     return {f"{name}/{what}": array for what, array in arrays.items()}
 
 
-def _display_arrays(world: World, population: Population, rows: NDArray[np.intp], worn: Outfit) -> Arrays:
+def _display_arrays(world: World, population: Population, stored: Arrays, worn: Outfit) -> Arrays:
     arrays: Arrays = {}
-    if not worn.layers and not worn.looks and not worn.leans:
-        return arrays
-    stored_arrays = display_arrays(population, world.setting, rows)
     if worn.layers:
         known = layers_worn(population, world.setting)
-        mask, layer_bits = stored_arrays[f"wears.{population.name}"], np.zeros(len(rows), np.uint32)
+        mask, layer_bits = stored[f"wears.{population.name}"], np.zeros(len(population), np.uint32)
         for k, layer in enumerate(worn.layers):
             layer_bits |= ((mask >> np.uint64(known.index(layer))) & np.uint64(1)).astype(np.uint32) << np.uint32(k)
         arrays["wears"] = layer_bits
     for group in worn.looks:
-        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(stored_arrays[f"looks.{population.name}.{group}"])).astype(np.int8)
+        arrays[f"look/{group}"] = np.rint(127 * np.nan_to_num(stored[f"looks.{population.name}.{group}"])).astype(np.int8)
     if worn.leans:
-        leans = np.nan_to_num(stored_arrays[f"leans.{population.name}"])
-        arrays["lean"] = np.rint(127 * np.clip(np.column_stack([leans, np.zeros(len(rows))]), -1, 1)).astype(np.int8)
+        leans = np.nan_to_num(stored[f"leans.{population.name}"])
+        arrays["lean"] = np.rint(127 * np.clip(np.column_stack([leans, np.zeros(len(leans))]), -1, 1)).astype(np.int8)
     return arrays
 
 
 def _trait_arrays(
-    world: World, population: Population, rows: NDArray[np.intp], worn: Outfit, machines: tuple[MachineClips, ...]
+    world: World, population: Population, stored: Arrays, worn: Outfit, machines: tuple[MachineClips, ...]
 ) -> Arrays:
-    differ, varied = traits(worn), worn.definition.variation
-    if not differ.count or not len(rows):
+    differ, varied, count = traits(worn), worn.definition.variation, len(population)
+    if not differ.count or not count:
         return {}
-    draws = VariationDraws(population.ids[rows], world.setting.seed, population.name)
-    trait_values = np.zeros((len(rows), -(-differ.count // 3) * 3), np.float32)
+    draws = VariationDraws(population.sorted_ids()[0], world.setting.seed, population.name)
+    trait_values = np.zeros((count, -(-differ.count // 3) * 3), np.float32)
     parts = [size_of(varied, name, draws) for name in differ.scales]
     parts += [colour_position(varied, name, draws) for name in differ.materials]
     first = len(differ.targets)
     if first:
-        stored_arrays = display_arrays(population, world.setting, rows)
-        said = {each: stored_arrays[f"channels.{population.name}.{each}"] for each in population.plan.channels}
-        trait_values[:, :first] = blend_weights(
-            worn, differ, machines, len(rows), said, stored_arrays.get(f"leans.{population.name}")
-        )
+        said = {each: stored[f"channels.{population.name}.{each}"] for each in population.plan.channels}
+        lean = stored.get(f"leans.{population.name}")
+        trait_values[:, :first] = blend_weights(worn, differ, machines, count, said, lean)
     for k, part in enumerate(parts, first):
         trait_values[:, k] = part
     return {f"trait/{k}": trait_values[:, 3 * k : 3 * k + 3] for k in range(trait_values.shape[1] // 3)}
@@ -145,12 +138,12 @@ def channel_table(definition: Definition) -> tuple[ClipTable, Mapping[str, Trans
     return clip_table(alone), alone.groups
 
 
-def _stance_arrays(world: World, name: str, worn: Outfit, light: LightFrame, machines: tuple[MachineClips, ...]) -> Arrays:
+def _stance_arrays(world: World, name: str, worn: Outfit, light: Arrays, machines: tuple[MachineClips, ...]) -> Arrays:
     body = posed_body(worn)
     if body.legs is None:
         return {}
-    played = (*body.idle_clips(light.ids, world.frame * world.dt), *machines)
-    stands = body.legs.stance_weights((*worn.plays, PlayedClip(worn.definition.idle)), played, len(light.ids))
+    played = (*body.idle_clips(light["id"], world.frame * world.dt), *machines)
+    stands = body.legs.stance_weights((*worn.plays, PlayedClip(worn.definition.idle)), played, len(light["id"]))
     return dict(stance_arrays(body.legs, world.feet[name], light, stands))
 
 
@@ -172,7 +165,7 @@ def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint
     return output
 
 
-def stance_arrays(legs: Legs, feet: Feet, light: LightFrame, stands: Floats) -> dict[str, NDArray[np.int16]]:
+def stance_arrays(legs: Legs, feet: Feet, light: Arrays, stands: Floats) -> dict[str, NDArray[np.int16]]:
     """Return the stances of bodies as integers, with two arrays.
 
     `feet` int16[n, L, 3]: where each foot joint is to be relative to a body with an unmoved trunk, 4096 to a body's length,
@@ -183,7 +176,7 @@ def stance_arrays(legs: Legs, feet: Feet, light: LightFrame, stands: Floats) -> 
     stand.
 
     Bodies stand as pages turn them, by directions of three bytes, so that a standing foot does not shake with these."""
-    size = np.where(light.size > 0, light.size, 1).astype(np.float32)
+    size = np.where(light["size"] > 0, light["size"], 1).astype(np.float32)
     rise = feet.rise / size * stands
     tilt = slope_quaternions(feet.slope) * stands[:, None]
     tilt[:, 3] += 1 - stands
@@ -194,17 +187,17 @@ def stance_arrays(legs: Legs, feet: Feet, light: LightFrame, stands: Floats) -> 
     stance[:, 4] = _quantise(stands, _ONE)
     is_down = feet.is_standing[:, :_DOWN]
     stance[:, 5] = (is_down << np.arange(is_down.shape[1])).sum(axis=1)
-    away = (feet.shown - light.position.T[:, :, None]).astype(np.float32) / size[None, :, None]
+    away = (feet.shown - light["position"].T[:, :, None]).astype(np.float32) / size[None, :, None]
     place = _rotate_back(_body_axes(light), away)
     place[1] += legs.soles[None] - rise[:, None]
     goals = _rotate_back(_rotations(tilt), place)
     return {"feet": _quantise(goals.transpose(1, 2, 0), _LENGTH), "stance": stance}
 
 
-def _body_axes(light: LightFrame) -> Floats:
+def _body_axes(light: Arrays) -> Floats:
     """Return the columns forward, up and sideways of agents, float32[3, 3, n], computed as pages do."""
-    up = unit_or(light.up.astype(np.float64), np.array([0.0, 1.0, 0.0])).astype(np.float32)
-    ahead = light.heading.astype(np.float32)
+    up = unit_or(light["up"].astype(np.float64), np.array([0.0, 1.0, 0.0])).astype(np.float32)
+    ahead = light["heading"].astype(np.float32)
     ahead -= up * (ahead * up).sum(axis=1, keepdims=True)
     ahead /= np.maximum(np.linalg.norm(ahead, axis=1, keepdims=True), 1e-20)
     return np.stack([ahead.T, up.T, np.cross(ahead, up).T], axis=1)

@@ -10,14 +10,13 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.feelers import feeler_rays, feelers_of
 from antdsl.plan.ir import Plan
+from antdsl.preview.agent_columns import OTHERS, light_frame, packet_arrays
 from antdsl.preview.binary_packets import pack
-from antdsl.preview.timeline import LightFrame
 from antdsl.preview.viewing.acting import action_arrays, store_poses, stored_poses
 from antdsl.preview.viewing.seen import Interest, Packets, ViewState
 from antdsl.preview.viewing.units import base_units, unit_for
 from antdsl.program.model import Program
 from antdsl.runtime import Population, World
-from antdsl.runtime.world import AXES
 
 _MISSING_STATE = 255
 Arrays = dict[str, NDArray[Any]]
@@ -50,7 +49,7 @@ class AgentPackets:
         lights = view_state.session.light_at(world.frame) or {}  # what is remembered of it was just made of it
         poses = stored_poses(view_state.session, world.frame)
         for name, population in world.populations.items():
-            then = lights[name] if name in lights else LightFrame.of(population)
+            then = lights[name] if name in lights else light_frame(population)
             arrays |= _stored_arrays({name: then}) | _current_arrays(population, factors)
             arrays |= poses[name] if name in poses else action_arrays(world, view_state.shot, population, then)
         arrays |= _items(world, view_state.shot.program)
@@ -61,17 +60,11 @@ class AgentPackets:
 def _current_arrays(population: Population, factors: Mapping[tuple[str, str], float]) -> Arrays:
     """What is not remembered of a frame."""
     name, now, rows = population.name, population.now, population.in_id_order()
-    arrays: Arrays = {f"{name}/speed": _speed(population)[rows], f"{name}/born": population.born[rows].astype(np.int32)}
+    arrays: Arrays = {f"{name}/{column}": array for column, array in packet_arrays(population, OTHERS).items()}
     for (species, column), factor in factors.items():
         if species == name:
             arrays[f"{name}/column/{column}"] = now[column][rows].astype(np.float32) * np.float32(factor)
     return arrays
-
-
-def _speed(population: Population) -> NDArray[np.float32]:
-    x, y, z = (population.now[f"velocity.{axis}"] for axis in AXES)
-    speed: NDArray[np.float32] = np.sqrt(x * x + y * y + z * z)
-    return speed
 
 
 def _factors(world: World, program: Program, interest: Interest) -> dict[tuple[str, str], float]:
@@ -116,14 +109,8 @@ def _renumber_states(arrays: Arrays, then: Plan, now: Plan) -> Arrays:
     return arrays
 
 
-def _stored_arrays(lights: Mapping[str, LightFrame]) -> Arrays:
-    arrays: Arrays = {}
-    for name, light in lights.items():
-        arrays |= {f"{name}/id": light.ids.astype(np.int32), f"{name}/position": light.position}
-        arrays |= {f"{name}/heading": light.heading, f"{name}/up": light.up, f"{name}/size": light.size}
-        for machine, states in light.states.items():
-            arrays[f"{name}/state/{machine}"] = states
-    return arrays
+def _stored_arrays(lights: Mapping[str, Arrays]) -> Arrays:
+    return {f"{species}/{name}": array for species, light in lights.items() for name, array in light.items()}
 
 
 def feeler_arrays(world: World, program: Program, species: str, agent: int) -> dict[str, NDArray[Any]]:

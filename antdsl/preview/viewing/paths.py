@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.numerics.records import match_ids
 from antdsl.preview.binary_packets import pack
 from antdsl.preview.requests import MAX_PLANNED_AGENTS
 from antdsl.preview.viewing.seen import Interest, Packets, ViewState
@@ -46,18 +47,16 @@ def _paths(view_state: ViewState) -> dict[str, NDArray[Any]]:
     )
     for name, positions in first_positions.items():
         ids = np.array(sorted({who.agent for who in interest.planned or () if who.species == name}), np.int64)
-        ids = ids[np.isin(ids, positions.ids)]
+        ids = ids[np.isin(ids, positions["id"])]
         if is_for_all:
-            ids = positions.ids
+            ids = positions["id"]
         if not len(ids):
             continue
         path = np.full((len(ids), len(ahead.frames), 3), np.nan, np.float32)
         for k, frame in enumerate(sorted(ahead.frames)):
             later_positions = ahead.frames[frame].get(name)
-            if later_positions is None or not len(later_positions.ids):
-                continue
-            at = np.minimum(np.searchsorted(later_positions.ids, ids), len(later_positions.ids) - 1)
-            alive = later_positions.ids[at] == ids
-            path[alive, k] = later_positions.position[at[alive]]
+            if later_positions is not None:
+                at, is_alive = match_ids(ids, later_positions["id"])
+                path[is_alive, k] = later_positions["position"][at[is_alive]]
         arrays |= {f"{name}/id": ids.astype(np.int32), f"{name}/path": path}
     return arrays

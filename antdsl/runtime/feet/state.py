@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from hashlib import sha256
 from typing import Any
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from antdsl.numerics.records import match_ids
 from antdsl.numerics.row_hash import RowHash, describe_columns
+from antdsl.program.tables.columns import FEET
 
 Array = NDArray[Any]
 
 STANDS = np.float32(-1)  # of `swing`
 NOTHING, PLANE = -2, -1  # of `on`
+_COLUMNS = {column.name: column for column in FEET}
 
 
 def by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
@@ -24,14 +27,18 @@ def by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
     return np.zeros((*shape[:-2], shape[-1], shape[-2]), dtype).swapaxes(-1, -2)
 
 
-def _empty_column(name: str, array: Array, shape: Sequence[int]) -> Array:
-    return by_leg(shape, array.dtype) if name in _BY_LEG else np.zeros(shape, array.dtype)
+def _zeros(count: int, legs: int) -> dict[str, Any]:
+    """Return all columns for `count` agents."""
+    shapes = {name: column.dimensions(n=count, L=legs) for name, column in _COLUMNS.items()}
+    return {
+        name: by_leg(shapes[name], column.type) if "L" in column.shape else np.zeros(shapes[name], column.type)
+        for name, column in _COLUMNS.items()
+    }
 
 
-def _copy_column(name: str, array: Array) -> Array:
-    copied_array = _empty_column(name, array, array.shape)
-    copied_array[...] = array
-    return copied_array
+def _axis(name: str) -> int:
+    """Return the axis of a column that has agents."""
+    return _COLUMNS[name].shape.index("n")
 
 
 @dataclass(slots=True, eq=False)
@@ -70,13 +77,7 @@ class Feet:
     @staticmethod
     def none(legs: int) -> Feet:
         """Return the feet of an empty population."""
-        three, flat = (3, 0, legs), (0, legs)
-        return Feet(
-            np.zeros(0, np.int64), np.zeros(three), np.zeros(three), np.zeros(three), np.zeros(flat, np.float32),
-            np.zeros(flat, np.int16), np.zeros(flat, np.int32), np.zeros((2, 0, legs)), np.zeros(flat, np.float32),
-            np.zeros(0, np.float32), np.zeros(0, np.float32), np.zeros((2, 0), np.float32), np.zeros((3, 0)),
-            np.zeros((3, 0), np.float32), np.zeros((3, 0), np.float32),
-        )  # fmt: skip
+        return Feet(**_zeros(0, legs))
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -93,43 +94,30 @@ class Feet:
 
     def arrays(self) -> dict[str, Array]:
         """Return the stored arrays themselves, by name."""
-        return {name: getattr(self, name) for name in STORED_COLUMNS}
+        return {name: getattr(self, name) for name in _COLUMNS}
 
-    def copy_common(self, previous_feet: Feet) -> None:
-        """Copy the feet of all agents that had feet before."""
-        at = np.minimum(np.searchsorted(previous_feet.ids, self.ids), max(len(previous_feet.ids) - 1, 0))
-        known = previous_feet.ids[at] == self.ids if len(previous_feet.ids) else np.zeros(len(self.ids), np.bool_)
+    def copy_common(self, previous_feet: Feet) -> NDArray[np.bool_]:
+        """Copy the feet of all agents that had feet before; return which."""
+        at, known = match_ids(self.ids, previous_feet.ids)
         for name, array in self.arrays().items():
-            rows: tuple[Any, ...] = (slice(None),) * _AXIS.get(name, 0)
+            rows: tuple[Any, ...] = (slice(None),) * _axis(name)
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
+        for name in ("covered", "stood"):
+            previous, array = getattr(previous_feet, name), getattr(self, name)
+            if previous is not None and array is not None:
+                array[:, known] = previous[:, at[known]]
+        return known
 
     def match_ids(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
         """Return the feet of agents by ascending ids, zero for agents without earlier feet, and the rows of those agents."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
-        at = np.minimum(np.searchsorted(self.ids, ids), max(len(self.ids) - 1, 0))
-        known = self.ids[at] == ids if len(self.ids) else np.zeros(len(ids), np.bool_)
-        columns: dict[str, Any] = {}
-        for name, array in self.arrays().items():
-            axis = _AXIS.get(name, 0)
-            shape = list(array.shape)
-            shape[axis] = len(ids)
-            columns[name] = _empty_column(name, array, shape)
-            rows: tuple[Any, ...] = (slice(None),) * axis
-            columns[name][(*rows, known)] = array[(*rows, at[known])]
-        matched_feet = Feet(**(columns | {"ids": ids.copy()}))
+        matched_feet = Feet(**(_zeros(len(ids), self.legs) | {"ids": ids.copy()}))
         if self.covered is not None:
             matched_feet.covered = by_leg((2, len(ids), self.legs), np.float32)
-            matched_feet.covered[:, known] = self.covered[:, at[known]]
         if self.stood is not None:
             matched_feet.stood = np.full((3, len(ids)), np.nan)
-            matched_feet.stood[:, known] = self.stood[:, at[known]]
-        return matched_feet, np.flatnonzero(~known)
-
-
-STORED_COLUMNS = tuple(each.name for each in fields(Feet) if each.name not in ("covered", "stood", "rows"))
-_AXIS = {name: 1 for name in ("place", "shown", "start", "weight", "slope", "position", "heading", "up")}
-_BY_LEG = frozenset(("place", "shown", "start", "swing", "on", "face", "weight", "found"))
+        return matched_feet, np.flatnonzero(~matched_feet.copy_common(self))
 
 
 def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
@@ -141,7 +129,7 @@ def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
         digest.update(f"\0{name}\0{len(feet[name])}".encode())
         arrays = feet[name].arrays()
         ids = arrays.pop("ids")
-        columns = feet[name].rows.split_columns(list(arrays.values()), [key in _AXIS for key in arrays])
+        columns = feet[name].rows.split_columns(list(arrays.values()), [_axis(key) == 1 for key in arrays])
         digest.update(describe_columns(tuple(arrays), arrays.values()) + feet[name].rows.of(ids, columns, threads))
     return digest.hexdigest()[:32]
 
@@ -149,16 +137,12 @@ def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:
 def feet_from_arrays(arrays: Mapping[str, Array], legs: int, ids: NDArray[np.int64]) -> Feet:
     """Return the feet from arrays that `Feet.arrays` wrote. Raises ValueError if they do not describe the feet of agents with
     these ids."""
-    like = Feet.none(legs).arrays()
-    columns: dict[str, Any] = {}
-    for name, empty in like.items():
-        array = np.asarray(arrays[name]) if name in arrays else None
-        axis = _AXIS.get(name, 0)
-        expected_shape = list(empty.shape)
-        expected_shape[axis] = len(ids)
-        if array is None or array.dtype != empty.dtype or list(array.shape) != expected_shape:
+    columns = _zeros(len(ids), legs)
+    for name, column in columns.items():
+        array = arrays.get(name)
+        if array is None or array.dtype != column.dtype or array.shape != column.shape:
             raise ValueError(f"`{name}` is missing or of another shape")
-        columns[name] = _copy_column(name, array)
+        column[...] = array
     if not np.array_equal(columns["ids"], ids):
         raise ValueError("the `ids` differ")
     return Feet(**columns)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from itertools import repeat
-from operator import attrgetter, is_not, itemgetter
+from operator import is_not, itemgetter
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,7 @@ from antdsl.fields.reached import StrongCells
 from antdsl.machine_code.memory import address
 from antdsl.numerics import randomness
 from antdsl.plan import ir
+from antdsl.program.tables.columns import FIXED
 from antdsl.runtime.backends.native.block import BlockCode
 from antdsl.runtime.backends.native.lane import LaneMemories, LaneMemory
 from antdsl.runtime.backends.native.layout import Key
@@ -166,12 +167,12 @@ class AddressTables:
         match key[0]:
             case "start" | "now" | "cell":
                 return (key[0],)
-            case "ids" | "born" | "quarantined":
+            case name if name in FIXED:
                 return ("own",)
             case "item" | "field":
                 return key[:2]
             case "other" if key[2] not in _IN_ORDER:
-                return ("other" if key[2] in _ATTRIBUTES else "start of", key[1])
+                return ("other" if key[2] in _OTHER_FIXED else "start of", key[1])
         return None
 
     def _held_arrays(self, holder: Key, keys: list[tuple[Key, int]]) -> HeldArrays:
@@ -181,10 +182,10 @@ class AddressTables:
             case "start" | "now" as when:
                 return self._held_registers(names, start=when == "start")
             case "own":
-                return self._held_attributes(lambda world, population: population, names)
+                return self._held_mapping(lambda world, population: population.columns, names)
             case "other":
-                names = [(_ATTRIBUTES[name], place) for name, place in names]
-                return self._held_attributes(lambda world, population: world.populations[of], names)
+                names = [(_OTHER_FIXED[name], place) for name, place in names]
+                return self._held_mapping(lambda world, population: world.populations[of].columns, names)
             case "start of":
                 return self._held_mapping(lambda world, population: world.populations[of].start, names)
             case "item":
@@ -201,7 +202,7 @@ class AddressTables:
                 words[place] = self._rooms.move_register(population, name, start=start)[1]
 
         find: Holder = (lambda world, population: population.start) if start else (lambda world, population: population.now)
-        return HeldArrays(find, _make_getter(itemgetter, names), put)
+        return HeldArrays(find, _make_getter(names), put)
 
     def _held_mapping(self, of: Holder, names: Names) -> HeldArrays:
         """What a mapping holds."""
@@ -210,17 +211,7 @@ class AddressTables:
             for name, place in names:
                 holder[name], words[place] = self._rooms.place(holder[name])
 
-        return HeldArrays(of, _make_getter(itemgetter, names), put)
-
-    def _held_attributes(self, of: Holder, names: Names) -> HeldArrays:
-        """What is an attribute."""
-
-        def put(world: World, population: Population, holder: Any, words: Words) -> None:
-            for name, place in names:
-                array, words[place] = self._rooms.place(getattr(holder, name))
-                setattr(holder, name, array)
-
-        return HeldArrays(of, _make_getter(attrgetter, names), put)
+        return HeldArrays(of, _make_getter(names), put)
 
     # --- one kind of key each: gives what looks for its address in a step ---------------------------------------------------
 
@@ -280,9 +271,9 @@ class AddressTables:
         return self._rooms.copy(self.code.species.name, *key)
 
 
-def _make_getter(getter: Callable[..., Callable[[Any], Any]], names: Names) -> Callable[[Any], Iterable[NDArray[Any]]]:
+def _make_getter(names: Names) -> Callable[[Any], Iterable[NDArray[Any]]]:
     """What gives the arrays of these names."""
-    get_arrays = getter(*(name for name, _ in names))
+    get_arrays = itemgetter(*(name for name, _ in names))
     return get_arrays if len(names) > 1 else lambda holder: (get_arrays(holder),)
 
 
@@ -309,7 +300,7 @@ def _power_of_2_below(count: int) -> int:
 
 
 _IN_ORDER = frozenset(("sorted ids", "rows of sorted ids"))
-_ATTRIBUTES = {"frame of birth": "born", "unsorted ids": "ids"}  # of another species
+_OTHER_FIXED = {"frame of birth": "born", "unsorted ids": "ids"}  # of another species
 _FINDERS: dict[str, Callable[[AddressTables, Key], Find]] = {
     "mesh": AddressTables._find_mesh,
     "event": AddressTables._find_event,

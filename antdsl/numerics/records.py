@@ -1,0 +1,53 @@
+"""Rows of records: of arrays, and of dataclasses, tuples and mappings that hold arrays with one row per agent."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass, replace
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+Record = TypeVar("Record")
+
+
+def take_rows(record: Record, chosen: NDArray[np.bool_] | NDArray[np.intp]) -> Record:
+    """Return the chosen rows of all arrays in a record. Values other than arrays are unchanged."""
+    rows: Record = _apply(lambda array: array[chosen], record)
+    return rows
+
+
+def join_rows(one: Any, other: Any) -> Any:
+    """Return the rows of two records, concatenated; None where one of them is None."""
+    return _apply(lambda *arrays: np.concatenate(arrays), one, other)
+
+
+def _apply(function: Callable[..., NDArray[Any]], first: Any, *others: Any) -> Any:
+    """Return a record of what a function makes of the arrays that are in the same place of some records."""
+    if any(each is None for each in (first, *others)):
+        return None
+    if isinstance(first, np.ndarray):
+        return function(first, *others)
+    if isinstance(first, Mapping):
+        names = [name for name in first if all(name in other for other in others)]
+        return {name: _apply(function, *(each[name] for each in (first, *others))) for name in names}
+    if isinstance(first, tuple):
+        return tuple(_apply(function, *parts) for parts in zip(first, *others, strict=False))
+    if not is_dataclass(first) or isinstance(first, type):
+        return first
+    parts = {field.name: [getattr(each, field.name) for each in (first, *others)] for field in fields(first)}
+    return replace(first, **{name: _apply(function, *part) for name, part in parts.items()})
+
+
+def part_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
+    """Return the arrays with names that begin with a prefix, by the rest of their names."""
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+
+
+def match_ids(ids: NDArray[np.int64], others: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+    """Return the index of each id among others, which ascend, and whether it is among them."""
+    if len(ids) == len(others) and np.array_equal(ids, others):
+        return np.arange(len(ids)), np.ones(len(ids), np.bool_)
+    at = np.minimum(np.searchsorted(others, ids), max(len(others) - 1, 0))
+    return at, others[at] == ids if len(others) else np.zeros(len(ids), np.bool_)

@@ -1,0 +1,54 @@
+"""The agents of a frame: their ids and species, and the arrays about all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.program.tables.columns import FRAME
+
+Arrays = Mapping[str, NDArray[Any]]
+Longs = NDArray[np.int64]
+ALWAYS_SAVED = frozenset(each.name for each in FRAME if each.of == "species" and each.saved == "always")  # beside `output`'s
+
+IDENTITY = frozenset(("id", "species"))
+
+
+def own_arrays(form: str) -> frozenset[str]:
+    """Return the names of the arrays for which a file format has a special attribute."""
+    return frozenset(each.frame_name for each in FRAME if form in each.exports.split())
+
+
+def further_numbers(arrays: Arrays, form: str) -> Iterator[tuple[str, NDArray[Any]]]:
+    """Yield the arrays with a number of each agent that a file format writes under their own names."""
+    own, count = own_arrays(form), len(arrays["P"])
+    for name, values in arrays.items():
+        if name not in own and "." not in name.removesuffix(".state") and values.shape == (count,):
+            yield name, values
+
+
+def agent_ids(arrays: Arrays) -> Longs:
+    """Return the id of each agent; the row where a frame has none."""
+    return np.asarray(arrays["id"], np.int64) if "id" in arrays else np.arange(_count(arrays))
+
+
+def species_numbers(arrays: Arrays) -> Longs:
+    """Return the number of each agent's species."""
+    return np.asarray(arrays["species"], np.int64) if "species" in arrays else np.zeros(_count(arrays), np.int64)
+
+
+def species_rows(arrays: Arrays, number: int) -> NDArray[np.intp]:
+    """Return the rows of a species."""
+    return np.flatnonzero(species_numbers(arrays) == number)
+
+
+def agent_keys(arrays: Arrays) -> Longs:
+    """Return a number that each agent alone has in all frames."""
+    return agent_ids(arrays) * 4096 + species_numbers(arrays)
+
+
+def _count(arrays: Arrays) -> int:
+    return next((len(arrays[name]) for name in ("id", "P", "orient") if name in arrays), 0)

@@ -1,0 +1,60 @@
+"""Arrays of the agents of one species as the page gets them, by id, under their names in packets."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from antdsl.program.tables.columns import AGENTS, Column
+from antdsl.runtime import Population
+from antdsl.runtime.world import AXES
+
+Arrays = dict[str, NDArray[Any]]
+_PACKET = sorted((column for column in AGENTS if column.packet), key=lambda column: column.name != "ids")
+POSITIONS = [column for column in _PACKET if column.name in ("ids", "position")]
+_LIGHT = [column for column in _PACKET if column.light]
+OTHERS = [column for column in _PACKET if not column.light]
+
+
+def light_frame(population: Population, previous: Arrays | None = None) -> Arrays:
+    """Return what is stored of each frame, with the states of each machine. `previous`: the same of the frame before; an array
+    that equals its predecessor is the same object."""
+    rows = population.in_id_order()
+    states = {f"state/{m.name}": population.now[f"{m.name}.state"][rows].astype(np.uint8) for m in population.plan.machines}
+    return reuse_arrays(packet_arrays(population, _LIGHT) | states, previous or {})
+
+
+def reuse_arrays(arrays: Arrays, previous: Arrays) -> Arrays:
+    """Return the arrays, with those of the frame before in place of equal ones."""
+    return {
+        name: previous[name] if name in previous and np.array_equal(previous[name], array) else array
+        for name, array in arrays.items()
+    }
+
+
+def packet_arrays(population: Population, columns: Iterable[Column]) -> Arrays:
+    """Return the arrays of some columns. Directions are 127 times as long, in bytes."""
+    rows = population.in_id_order()
+    return {column.packet.split()[0]: _array(population, column, rows) for column in columns}
+
+
+def _array(population: Population, column: Column, rows: NDArray[np.intp]) -> NDArray[Any]:
+    kind = column.packet.split()[1]
+    if column.kind == "derived":
+        return VALUES[column.name](population)[rows]
+    if column.kind == "fixed":
+        return population.columns[column.name][rows].astype(kind)
+    values = np.stack([population.now[name][rows] for name in column.registers], axis=-1).reshape(-1, *column.shape)
+    return np.rint(values * np.float32(127)).astype(kind) if kind == "i1" else values.astype(kind)
+
+
+def _speeds(population: Population) -> NDArray[np.float32]:
+    x, y, z = (population.now[f"velocity.{axis}"] for axis in AXES)
+    speed: NDArray[np.float32] = np.sqrt(x * x + y * y + z * z)
+    return speed
+
+
+VALUES: Mapping[str, Callable[[Population], NDArray[Any]]] = {"speed": _speeds}

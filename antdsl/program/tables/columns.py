@@ -1,0 +1,203 @@
+"""The arrays of agents, items and frames, one row each.
+
+A row says what an array holds and where it goes. The store of a population, the state hash, checkpoints, reloads, frames of a
+cache, exports, packets of the preview and the table of `docs/cache.md` are made from the rows. Registers that a program declares
+have no row of their own: their names, types and roles are in its plan.
+
+Rows are data. Functions that compute derived arrays are in tables of their own packages under the name of the row: `VALUES` in
+`antdsl.outputs.cache.agent_arrays`, `VALUES` in `antdsl.preview.agent_columns`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Kind = Literal["fixed", "register", "derived"]
+Shape = tuple[int | str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """An array. `kind`: `fixed`, an array that every population has; `register`, a register of the plan, or one per axis;
+    `derived`, computed for frames and packets. `type` is a NumPy type code, `shape` that of one row, `unit` that of the values in
+    the world, `zero` the value in new rows.
+
+    `checkpointed`, `hashed`: whether it is part of checkpoints and of the state hash, if it is not derived. `migrated`: a reload
+    copies it, whatever the program says, and newborns have such registers from their parents. `inherited`: the parent's array
+    that a newborn has a fixed one from.
+
+    `saved`: a frame has it by `default`, on `request` in the scene's `output`, or `always` if there is something to save.
+    `called`: its name there, if that is not `name`; words in capitals stand for names of the scene. `of`: what a row of it is
+    about, an agent of any `species`, an agent of `one` species, a `pair`, an `event`, an `item` or a `part` of a thing.
+    `exports`: the formats that have an attribute of their own for it; others write it under its name, if they write all arrays
+    of agents. `packet`: its name and type in the preview's packet of a frame. `light`: the preview stores it for all frames."""
+
+    name: str
+    kind: Kind
+    type: str
+    shape: Shape = ()
+    help: str = ""
+    unit: str = ""
+    zero: int = 0
+    checkpointed: bool = True
+    hashed: bool = True
+    migrated: bool = True
+    inherited: str = ""
+    saved: Literal["", "default", "request", "always"] = ""
+    called: str = ""
+    of: str = "species"
+    exports: str = ""
+    packet: str = ""
+    light: bool = False
+
+    @property
+    def frame_name(self) -> str:
+        """Its name in frames."""
+        return self.called or self.name
+
+    @property
+    def frame_type(self) -> str:
+        """Its type in frames, which have float32 for positions of agents."""
+        return "f4" if self.type == "f8" and self.of == "species" else self.type
+
+    @property
+    def field(self) -> str:
+        """The last part of its name."""
+        return self.name.rpartition(".")[2]
+
+    @property
+    def registers(self) -> tuple[str, ...]:
+        """The names of its registers."""
+        return tuple(f"{self.name}.{axis}" for axis in "xyz") if self.shape else (self.name,)
+
+    def dimensions(self, **sizes: int) -> tuple[int, ...]:
+        """Return its shape with the sizes that have names."""
+        return tuple(sizes[size] if isinstance(size, str) else size for size in self.shape)
+
+    def factor(self, scale: float) -> float:
+        """Return what values are multiplied with in frames. `scale`: scene units per millimetre."""
+        return scale if self.unit.startswith("mm") else 1.0
+
+
+_ALL, _SCENES = "usd gltf geo csv", "usd geo"
+# fmt: off
+AGENTS = (
+    Column("frame", "derived", "i8", (), "its number", saved="always", of="frame"),
+    Column("speed", "derived", "f4", (), "length of the velocity", "mm/s", packet="speed f4"),
+    Column("born", "fixed", "i8", (), "frame of birth", packet="born i4"),
+    Column("quarantined", "fixed", "b1", (), "whether it stopped acting after a fault"),
+    Column("position", "fixed", "f8", (3,), "position", "mm", migrated=False, saved="default", called="P", exports=_ALL,
+           packet="position f4", light=True),
+    Column("normal", "fixed", "f4", (3,), "normal of the ground on its side", inherited="normal"),
+    Column("position", "register", "f4", (3,), "position as programs read it", "mm"),
+    Column("velocity", "register", "f4", (3,), "velocity, per second", "mm/s", saved="default", called="v", exports=_SCENES),
+    Column("heading", "register", "f4", (3,), "unit vector ahead", packet="heading i1", light=True),
+    Column("up", "register", "f4", (3,), "unit vector up", packet="up i1", light=True),
+    Column("orient", "derived", "f4", (4,), "quaternion x y z w that turns +x to the heading and +y to the agent's up",
+           saved="default", exports=_ALL),
+    Column("ids", "fixed", "i8", (), "number of the agent within its species", hashed=False, migrated=False, saved="default",
+           called="id", exports=_ALL, packet="id i4", light=True),
+    Column("size", "register", "f4", (), "body length", "mm", migrated=False, saved="default", called="pscale", exports=_ALL,
+           packet="size f4", light=True),
+    Column("Cd", "derived", "f4", (3,), "colour of its state, display (sRGB), 0 to 1", saved="default", exports="usd gltf geo"),
+    Column("state", "derived", "i2", (), "its state in the first machine: an index into the manifest's list", saved="default",
+           exports=_SCENES),
+    Column("species", "derived", "i2", (), "an index into the manifest's list; always present with more than one species",
+           saved="request", exports=_ALL),
+    Column("age", "derived", "f4", (), "seconds since birth", saved="request"),
+    Column("group", "register", "f4", (), "which line of the scene's `crowd` made it, from 0", saved="request"),
+    Column("v_ground", "derived", "f4", (3,), "velocity of the ground below each agent, if a surface moves. `v` is relative to "
+           "it: use `v + v_ground` for motion blur", saved="always", exports=_SCENES),
+)
+
+
+def _family(prefix: str, of: str, *columns: tuple[str, str, Shape, str], kind: Kind = "derived") -> tuple[Column, ...]:
+    """Return rows of arrays that are always saved, with names that begin alike: name, type, shape and help of each."""
+    return tuple(Column(f"{prefix}{name}", kind, type, shape, help, of=of, saved="always") for name, type, shape, help in columns)
+
+
+CLIPS = _family(
+    "clips.SPECIES.MACHINE.", "one",
+    ("clip", "i2", (), "of a machine that plays clips: an index into the species' `clips` in the manifest, -1 for none"),
+    ("turns", "f4", (), "how often that clip has played since it began; the fraction is the phase"),
+    ("weight", "f4", (), "its share from 0 to 1"),
+    ("before", "i2", (), "the previous clip, which fades out"),
+    ("before_turns", "f4", (), "how often it has played"),
+    ("before_weight", "f4", (), "its share from 0 to 1"),
+    ("fade", "f4", (), "the share of the pose that the previous clip still has"),
+    ("earlier", "i2", (), "only if an agent has one: a [third clip](clips.md#how-one-clip-gives-way-to-the-next)"),
+    ("earlier_turns", "f4", (), "how often it has played"),
+    ("earlier_weight", "f4", (), "its share from 0 to 1"),
+    ("earlier_fade", "f4", (), "its share of the part that fades out"), kind="register")
+STANCE = _family(
+    "feet.SPECIES.", "one",
+    ("P", "f4", ("legs", 3), "position of each foot, in the order of the body's legs, if it [stands on its feet](feet.md)"),
+    ("down", "u1", ("legs",), "whether it stands"),
+    ("phase", "f4", (), "of the gait, from 0 to 1"),
+    ("rise", "f4", (), "height of the trunk above its rest height along its up"),
+    ("tilt", "f4", (4,), "rotation of the trunk from `orient` (x y z w)"))
+OTHERS = (
+    *_family(
+        "", "one",
+        ("wears.SPECIES", "u8", (), "[worn layers](clips.md#layers-that-are-worn): bit b for layer b of `wears` in the manifest"),
+        ("channels.SPECIES.NAME", "f4", (), "the value that a state gives a [channel](clips.md#channels), NaN without one"),
+        ("looks.SPECIES.GROUP", "f4", (3,), "where a transform group [looks](clips.md#looking-at-something): ahead, up, right"),
+        ("leans.SPECIES", "f4", (2,), "how much it [turns left and climbs](clips.md#turns-and-slopes), from -1 to 1")),
+    *_family(
+        "pairs.SPECIES.NAME.", "pair",
+        ("id", "i8", (), "of a value per pair, if `output` requests it: the owner. Rows are by `id` and `other`"),
+        ("other", "i8", (), "the other agent"),
+        ("value", "f4", (), "the value")),
+    *_family(
+        "", "item",
+        ("items.NAME.ATTRIBUTE", "f8", (), "what each item has left"),
+        ("items.NAME.P", "f4", (3,), "positions of items that move")),
+    *_family(
+        "", "part",
+        ("field.NAME.cells", "i4", (), "the cells that are not empty"),
+        ("field.NAME.values", "f4", (), "their values"),
+        ("field.NAME.added", "f4", (3,), "positions of cells dug since the start; their numbers continue those of `static.npz`"),
+        ("mesh.SURFACE.vertices", "f4", (3,), "positions of the vertices of a mesh that moves"),
+        ("solid.NAME.balls", "f8", (4,), "what was dug since the previous frame: centre and radius, in mm, positions less "
+         "`solid.NAME.offset` of `static.npz` and the origin. Absent if nothing was dug"),
+        ("mesh.SOLID.changed", "i4", (), "every `checkpoint` frames, from `first` on: the bricks that were ever dug"),
+        ("mesh.SOLID.vertices", "f8", (3,), "vertices of the current faces of those bricks, which replace all that they had"),
+        ("mesh.SOLID.faces", "i4", (3,), "those faces"),
+        ("mesh.SOLID.bricks", "i4", (), "the brick of each face")))
+EMIT = _family(
+    "events.emit.", "event",
+    ("species", "i2", (), "if `output` requests it: the species of an agent that emitted an event in the step"),
+    ("id", "i8", (), "its id"),
+    ("P", "f4", (3,), "its position"),
+    ("N", "f4", (3,), "the normal of its ground"),
+    ("event", "i2", (), "an index into the manifest's `events`"))
+CONTACT = _family(
+    "events.contact.", "event",
+    ("species", "i2", (), "if `output` requests it, for two bodies that overlap: the species of one"),
+    ("id", "i8", (), "its id"),
+    ("P", "f4", (3,), "the contact point"),
+    ("N", "f4", (3,), "the direction from the other"),
+    ("other_species", "i2", (), "the species of the other"),
+    ("other", "i8", (), "its id"),
+    ("depth", "f4", (), "the penetration depth"))
+FEET = (
+    Column("ids", "fixed", "i8", ("n",)),
+    *(Column(name, "fixed", "f8", (3, "n", "L"), unit="mm") for name in ("place", "shown", "start")),
+    Column("swing", "fixed", "f4", ("n", "L")),
+    Column("on", "fixed", "i2", ("n", "L")),
+    Column("face", "fixed", "i4", ("n", "L")),
+    Column("weight", "fixed", "f8", (2, "n", "L")),
+    Column("found", "fixed", "f4", ("n", "L")),
+    *(Column(name, "fixed", "f4", ("n",)) for name in ("phase", "rise")),
+    Column("slope", "fixed", "f4", (2, "n")),
+    Column("position", "fixed", "f8", (3, "n"), unit="mm"),
+    *(Column(name, "fixed", "f4", (3, "n")) for name in ("heading", "up")),
+)  # as `antdsl.runtime.feet.state.Feet` says
+# fmt: on
+
+FRAME = tuple(column for column in (*AGENTS, *CLIPS, *STANCE, *OTHERS, *EMIT, *CONTACT) if column.saved)
+FIXED = {column.name: column for column in AGENTS if column.kind == "fixed"}
+REGISTERS = {column.name: column for column in AGENTS if column.kind == "register"}
+MIGRATED_REGISTERS = tuple(name for c in REGISTERS.values() if c.migrated for name in c.registers)
+ATTRIBUTES = {column.frame_name: column for column in AGENTS if column.saved in ("default", "request")}
+DEFAULT_ATTRIBUTES = tuple(name for name, column in ATTRIBUTES.items() if column.saved == "default")
