@@ -167,7 +167,7 @@ OWN_WRITING = {
     "bootstrap.py": "the stamp of the environment",
     "cli/__init__.py": "the null device",
     "cli/printing/messages.py": "the null device",
-    "executors/parcel.py": "files of a project, in a folder of the worker's own",
+    "executors/input_bundle.py": "files of a project, in a folder of the worker's own",
     "graphs/png.py": "the font, in a temporary folder",
     "highlighting/textmate.py": "the highlighting that ships",
     "lsp/server.py": "standard output",
