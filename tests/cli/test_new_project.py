@@ -19,7 +19,7 @@ from children import child_environment
 
 from antdsl import __version__
 from antdsl.cli import COMMANDS
-from antdsl.cli.new import FILES
+from antdsl.cli.commands.new import FILES
 
 ROOT = Path(__file__).resolve().parents[2]
 FILE = dict(FILES)

@@ -118,7 +118,7 @@ def render(
 ) -> None:
     """Draw frames of a cache."""
     from antdsl.cli.arguments import parse_frame_range
-    from antdsl.cli.run import choose_threads
+    from antdsl.cli.commands.run import choose_threads
     from antdsl.outputs.drawing import DrawRequest, Stills
 
     require_scheduler(scheduler, tls, no_tls)

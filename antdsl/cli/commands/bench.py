@@ -41,7 +41,7 @@ def bench(
     with protect_inputs({"--json": json_}) as inputs:
         inputs += [Path(name) for name in cases or [] if name not in CASES]
     names = _choose_backends(backend)
-    from antdsl.cli.run import choose_threads
+    from antdsl.cli.commands.run import choose_threads
 
     threads = choose_threads(threads)
     jobs = _choose_jobs(cases or [], agents)

@@ -100,7 +100,7 @@ def jobs(
 
 def _parse_render_words(text: str) -> tuple[str, ...]:
     """Return the extra arguments of `antdsl render`, after that command has accepted them."""
-    from antdsl.cli.render import render
+    from antdsl.cli.commands.render import render
 
     # typer's versions have click beside them or within
     wrong_use: tuple[type[BaseException], ...] = typer.BadParameter.__bases__
