@@ -51,12 +51,6 @@ def project_file(name: str) -> Path:
     return _PACKAGE / "cli" / "project" / name
 
 
-def benchmark_file(name: str) -> Path | None:
-    """A file of the benchmarks that stand beside the tests, or None: only a checkout has them."""
-    file = _PACKAGE.parent / "tests" / "benchmarks" / name
-    return file if file.is_file() else None
-
-
 def code_page(code: str) -> Path | None:
     """The page of a diagnostic's code, in Markdown, or None when there is none."""
     page = _folder("docs/codes") / f"{code}.md"

@@ -1,25 +1,27 @@
-"""An executor for tests: tasks are done at once, in the process of the test."""
+"""An engine for tests: tasks are done at once, in the process of the test."""
 
 from __future__ import annotations
 
 import json
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from typing import Any
 
-from antdsl.executors import Task, Worker
+from antdsl.executors import Engine, Task, Worker
 from antdsl.executors.tasks import perform
 
 
-class InThisProcess:
+class InThisProcess(Engine):
     """In place of `Processes`; keeps the tasks that it was given."""
+
+    task_capacity = 1
 
     def __init__(self, count: int = 1, threads: int = 1) -> None:
         self.task_capacity, self.tasks, self._worker = count, list[Task](), Worker(threads)
 
-    def start(self) -> Executor:
-        return Executor()
+    def start(self) -> None:
+        pass
 
-    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
+    def submit(self, task: Task) -> Future[str]:
         self.tasks.append(task)
         future: Future[Any] = Future()
         try:
@@ -28,14 +30,5 @@ class InThisProcess:
             future.set_exception(why)
         return future
 
-    def frame(self, place: int) -> int | None:
-        return None
-
-    def take_notes(self) -> tuple[str, ...]:
-        return ()
-
-    def break_reason(self) -> str:
-        raise AssertionError
-
-    def stop(self, executor: Executor) -> None:
+    def stop(self) -> None:
         pass

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from subprocess import CompletedProcess
 
@@ -95,17 +95,17 @@ def assert_same(folder: Path, unbroken: Path) -> None:
 class Inline(Processes):
     """Runs of a sweep in this process, so that their faults are its own."""
 
-    def start(self) -> Executor:
-        return ThreadPoolExecutor(1)
+    def start(self) -> None:
+        self.pool = ThreadPoolExecutor(1)
 
-    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
-        return executor.submit(perform, task.work, json.dumps(task.document), Worker(1))
+    def submit(self, task: Task) -> Future[str]:
+        return self.pool.submit(perform, task.work, json.dumps(task.document), Worker(1))
 
-    def frame(self, place: int) -> int | None:
+    def frame(self, future: Future[str]) -> int | None:
         return None
 
-    def stop(self, executor: Executor) -> None:
-        executor.shutdown()
+    def stop(self) -> None:
+        self.pool.shutdown()
 
 
 def files(folder: Path, name: str) -> dict[str, bytes]:

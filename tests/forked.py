@@ -10,7 +10,7 @@ import tempfile
 from multiprocessing import get_context
 from pathlib import Path
 
-IMPORTED = ("open3d", "llvmlite.binding", "antdsl.cli.preview", "antdsl.preview.live", "antdsl.preview.serving.server")
+IMPORTED = ("open3d", "llvmlite.binding", "antdsl.cli.commands.preview", "antdsl.preview.live", "antdsl.preview.serving.server")
 _context = get_context("forkserver")
 _context.set_forkserver_preload(list(IMPORTED))
 

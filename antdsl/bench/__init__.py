@@ -1,9 +1,9 @@
-"""Measurements of steps: how long they take, which operations they consist of, and ratios between backends.
+"""Measurements of steps: how long they take, and ratios between backends.
 
 `cases` names the measured cases, and `scaling` builds a scene of a case with a given number of agents. `measuring` runs the
-set-up and steps of a case in this process: several backends and the hand-written bound in turn. `processes` does so in a separate
-process, which shares its memory and start-up with nothing else. `ratios` holds the statistics, `counting` the exact counts,
-`tables` the texts for a page. Nothing here changes a result."""
+set-up and steps of a case in this process, several backends in turn. `costs` does so in a separate process, which shares its
+memory and start-up with nothing else. `ratios` holds the statistics, `tables` the texts. Nothing here changes a result. What only
+developers measure is in `tests/benchmarks`."""
 
 from antdsl.bench.cases import CASES, Case
 from antdsl.bench.costs import Cost, Job, Measurement, measure_in_process

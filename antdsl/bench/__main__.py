@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import sys
 import warnings
 
 from antdsl.bench.cases import CaseError
-from antdsl.bench.costs import Job
+from antdsl.bench.costs import JOBS, MEASUREMENTS
 
 
 def main() -> None:
@@ -16,10 +15,10 @@ def main() -> None:
     from antdsl.bench.measuring import measure
 
     try:
-        measurement = measure(Job.from_json(json.loads(sys.argv[1])))
+        measurement = measure(JOBS.validate_json(sys.argv[1]))
     except CaseError as why:
         raise SystemExit(str(why)) from None
-    print(json.dumps(measurement.as_json()))
+    print(MEASUREMENTS.dump_json(measurement).decode())
 
 
 if __name__ == "__main__":

@@ -34,7 +34,7 @@ class Case:
 
     `make` returns the shot with a given number of agents (None: its own number). `agents`: the numbers of agents for its table,
     empty if the case has one size. `quick`: the numbers for a quick look. `bare`: removes the parts of the shot that bare steps
-    leave out. `bound`: the hand-written frame does the same work. `sight` (mm): the radius within which neighbours are counted.
+    leave out. `sight` (mm): the radius within which neighbours are counted.
     `published_figures`: results that others have reported."""
 
     name: str
@@ -43,7 +43,6 @@ class Case:
     agents: tuple[int, ...] = ()
     quick: tuple[int, ...] = ()
     bare: Callable[[Shot], Shot] = lambda shot: shot
-    bound: bool = False
     sight: float = 0.0
     published_figures: str = ""
 
@@ -157,13 +156,7 @@ CASES: Mapping[str, Case] = {
     case.name: case
     for case in (
         Case(
-            "foraging",
-            "ants that search, carry and lay scent on hills",
-            _foraging,
-            _FORAGING,
-            (1_000, 15_000),
-            _without_contacts,
-            bound=True,
+            "foraging", "ants that search, carry and lay scent on hills", _foraging, _FORAGING, (1_000, 15_000), _without_contacts
         ),
         Case(
             "boids",

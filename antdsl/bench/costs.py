@@ -1,18 +1,16 @@
-"""What a process that measures is asked, and what it answers, as plain values that go through JSON; and a job in a process of
-its own: its memory and its start-up are nobody else's."""
+"""The job of a measuring process and its result, as plain values that go through JSON. Each job has a separate process, so its
+memory and start-up are its own."""
 
 from __future__ import annotations
 
-import json
 import subprocess
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from statistics import median
-from typing import Any
+
+from pydantic import TypeAdapter
 
 from antdsl.child_processes import module_command, module_environment
-
-BOUND = "bound"  # the name of the hand-written frame in reports, beside the names of backends
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,8 +18,7 @@ class Job:
     """A case to measure (its name, or the path of a scene) with a number of agents (None: its own number) on some backends.
 
     Each backend takes `turns` turns of `steps` steps, alternating with the others. With 0 steps, a turn has as many as take about
-    20 ms. `bound`: the hand-written frame takes turns too. `full_run`: also measure frames of a run, as `antdsl run` makes
-    them."""
+    20 ms. `full_run`: also measure frames of a run, as `antdsl run` makes them."""
 
     case: str
     agents: int | None
@@ -29,17 +26,7 @@ class Job:
     turns: int = 20
     steps: int = 0
     threads: int = 1
-    bound: bool = False
     full_run: bool = False
-
-    def as_json(self) -> dict[str, Any]:
-        """For `from_json`."""
-        return asdict(self)
-
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Job:
-        """What `as_json` gave."""
-        return Job(**{**data, "backends": tuple(data["backends"])})
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +88,9 @@ class FullRun:
 class Measurement:
     """Results of a measuring process.
 
-    Of the first backend: `set_up`; `memory`: the largest growth of the process in bytes, from before the binding; `full_run`;
-    `counts` of one step (see `counting`). `state`: bytes of all stored values of agents. `nodes`: number of nodes of the plan.
+    `costs`: by the names of backends, and of other frames that took turns. Of the first backend: `set_up`; `memory`: the largest
+    growth of the process in bytes, from before the binding; `full_run`. `state`: bytes of all stored values of agents. `nodes`:
+    number of nodes of the plan.
     `neighbours`: mean number of others within the case's sight after the last step. `told`: messages about deviations from the
     request, for example that NumPy ran instead of machine code. Each message begins with the name of its backend."""
 
@@ -114,43 +102,28 @@ class Measurement:
     memory: int
     state: int
     nodes: int
-    counts: dict[str, int]
     neighbours: float | None = None
     full_run: FullRun | None = None
     told: tuple[str, ...] = ()
-
-    def as_json(self) -> dict[str, Any]:
-        """For `from_json`."""
-        return asdict(self)
-
-    @staticmethod
-    def from_json(data: Mapping[str, Any]) -> Measurement:
-        """What `as_json` gave."""
-        full_run = data["full_run"]
-        return Measurement(
-            **{
-                **data,
-                "job": Job.from_json(data["job"]),
-                "costs": {name: Cost(**cost) for name, cost in data["costs"].items()},
-                "set_up": SetUp(**data["set_up"]),
-                "full_run": None if full_run is None else FullRun(**full_run),
-                "told": tuple(data.get("told", ())),
-            }
-        )
 
     def ratios(self, name: str, other: str) -> list[float]:
         """Return the CPU time of a step of one entry of `costs` divided by that of another, turn by turn."""
         return [one / two for one, two in zip(self.costs[name].cpu, self.costs[other].cpu, strict=True)]
 
 
+JOBS, MEASUREMENTS = TypeAdapter(Job), TypeAdapter(Measurement)  # which read and write JSON
+
+
 class MeasuringError(Exception):
     """The process ended without a result; the message is what it said last."""
 
 
-def measure_in_process(job: Job) -> Measurement:
-    """What the process finds out. Raises MeasuringError."""
-    command = module_command("antdsl.bench", json.dumps(job.as_json()))
+def measure_in_process(job: Job, words: Sequence[str] = ()) -> Measurement:
+    """Return what a separate process measures. `words`: the command that measures, without the job; by default that of
+    antdsl. Raises MeasuringError."""
+    text = JOBS.dump_json(job).decode()
+    command = [*words, text] if words else module_command("antdsl.bench", text)
     process = subprocess.run(command, capture_output=True, text=True, env=module_environment())
     if process.returncode:
         raise MeasuringError((process.stderr.strip() or f"the process ended with {process.returncode}").splitlines()[-1])
-    return Measurement.from_json(json.loads(process.stdout.splitlines()[-1]))
+    return MEASUREMENTS.validate_json(process.stdout.splitlines()[-1])

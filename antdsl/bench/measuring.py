@@ -1,12 +1,10 @@
-"""Takes a job through set-up and steps in this process: several backends in turn, and the hand-written frame."""
+"""Takes a job through set-up and steps in this process, with several backends in turn."""
 
 from __future__ import annotations
 
-import importlib
 import os
-import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from math import ceil
@@ -17,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from antdsl.bench.cases import case_of
-from antdsl.bench.costs import BOUND, Cost, FullRun, Job, Measurement, SetUp
-from antdsl.bench.counting import count_step
+from antdsl.bench.costs import Cost, FullRun, Job, Measurement, SetUp
 from antdsl.bench.ratios import measure_in_turn
 from antdsl.machine_code import machine
 from antdsl.machine_code.object_cache import VARIABLE
@@ -26,7 +23,6 @@ from antdsl.numerics import stored_tables
 from antdsl.numerics.host import memory
 from antdsl.pipeline import Shot
 from antdsl.plan.traverse import blocks, operands, required_nodes, statements
-from antdsl.resources import benchmark_file
 from antdsl.runtime import Options, World, bind, step
 from antdsl.runtime.backends import NativeBackend
 from antdsl.runtime.backends.native import ready
@@ -37,13 +33,17 @@ _MOST_STEPS = 64
 _FEWEST_FRAMES = 8  # of a run
 
 
-def measure(job: Job) -> Measurement:
-    """Do a job. Raises CaseError for a scene that cannot be opened or scaled."""
+Frame = Callable[[], None]
+
+
+def measure(job: Job, make_others: Callable[[int], Mapping[str, Frame]] = lambda agents: {}) -> Measurement:
+    """Do a job. `make_others(agents)` returns other frames by name, which take turns with the backends. Raises CaseError for a
+    scene that cannot be opened or scaled."""
     with _use_empty_code_folder():
-        return _measure(job)
+        return _measure(job, make_others)
 
 
-def _measure(job: Job) -> Measurement:
+def _measure(job: Job, make_others: Callable[[int], Mapping[str, Frame]]) -> Measurement:
     start = _import_packages("native" in job.backends)
     case = case_of(job.case)
     shot, compile_ = _time_call(lambda: case.make(job.agents))
@@ -59,15 +59,14 @@ def _measure(job: Job) -> Measurement:
         step(worlds[name])
         wait_for_code(worlds[name])
     agents = len(world)
-    runners: dict[str, Callable[[], None]] = {name: _make_stepper(each) for name, each in worlds.items()}
+    runners: dict[str, Frame] = {name: _make_stepper(each) for name, each in worlds.items()}
     _, second = _time_call(runners[job.backends[0]])
     for stepped in runners.values():
         stepped()
     _, step_seconds = _time_call(runners[job.backends[0]])
     steps = job.steps or max(1, min(_MOST_STEPS, ceil(_TURN / max(step_seconds, 1e-6))))
-    most = memory()[1]  # before the hand-written frame is there
-    if job.bound:
-        runners[BOUND] = make_hand_written_frame(agents)
+    most = memory()[1]  # before other frames are made
+    runners |= make_others(agents)
     costs = _measure_turns(runners, worlds, steps, job.turns)
     messages = [f"{name}: {sentence}" for name, each in worlds.items() for sentence in each.backend.messages()]
     load_seconds, load_messages = _time_code_load(world)
@@ -80,7 +79,6 @@ def _measure(job: Job) -> Measurement:
         memory=most - initial_memory,
         state=_state_bytes(world),
         nodes=_count_nodes(shot),
-        counts=count_step(world),
         neighbours=mean_neighbours(world, case.sight) if case.sight else None,
         full_run=_measure_full_run(shot, options[0], count_run_frames(step_seconds)) if job.full_run else None,
         told=tuple(dict.fromkeys(messages + [f"{job.backends[0]}: {sentence}" for sentence in load_messages])),
@@ -129,7 +127,7 @@ def _time_call(work: Callable[[], Any]) -> tuple[Any, float]:
     return result, process_time() - began
 
 
-def _make_stepper(world: World) -> Callable[[], None]:
+def _make_stepper(world: World) -> Frame:
     return lambda: step(world)
 
 
@@ -153,7 +151,7 @@ def _time_code_load(world: World) -> tuple[float | None, list[str]]:
     return (None if messages else seconds), messages
 
 
-def _measure_turns(runners: dict[str, Callable[[], None]], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:
+def _measure_turns(runners: dict[str, Frame], worlds: dict[str, World], steps: int, turns: int) -> dict[str, Cost]:
     """Measure `turns` turns of `steps` steps each, after WARM uncounted steps of each runner."""
     for run in runners.values():
         for _ in range(WARM):
@@ -179,21 +177,6 @@ def _measure_turns(runners: dict[str, Callable[[], None]], worlds: dict[str, Wor
         phases = [] if own is None else [{p: s / count for p, s in each.items()} for each in (own.worked, own.timings)]
         costs[name] = Cost(cpu, wall, *phases)
     return costs
-
-
-def make_hand_written_frame(agents: int) -> Callable[[], None]:
-    """Return a hand-written frame of `agents` foraging ants, from a checkout's `tests/benchmarks/bound.py`. Raises
-    FileNotFoundError if it is missing."""
-    file = benchmark_file("bound.py")
-    if file is None:
-        raise FileNotFoundError("the frame written by hand is part of a checkout only")
-    sys.path.append(str(file.parent))  # kernels are cached under the name by which Python finds their module
-    try:
-        module = importlib.import_module(file.stem)
-    finally:
-        sys.path.pop()
-    frame: Callable[[], None] = module.Bound(agents).frame
-    return frame
 
 
 def _state_bytes(world: World) -> int:

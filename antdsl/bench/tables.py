@@ -1,4 +1,4 @@
-"""Formats measurements: rows for a terminal or a page, and plain values for JSON."""
+"""Formats measurements: rows for a terminal, and plain values for JSON."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ import datetime
 import os
 import platform
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from statistics import mean
 from typing import Any
 
 from antdsl import __version__
 from antdsl.bench.cases import CASES
-from antdsl.bench.costs import BOUND, Measurement
+from antdsl.bench.costs import Measurement
 from antdsl.bench.ratios import LEAST_PAIRS, bootstrap_interval
 from antdsl.numerics.host import processor_name
 
@@ -42,7 +42,7 @@ def backend_of(measured: Measurement) -> str:
 SET_UP = ("start", "compile", "bind", "first step", "code", "code kept", "second step")
 COLUMNS = (
     "backend", "run, CPU ms", "run, wall ms", "run, frames/s", "step in run, CPU ms", "feet in run, CPU ms",
-    "bare step, CPU ms", "wall ms", "frames/s", "µs per agent", "of the bound",
+    "bare step, CPU ms", "wall ms", "frames/s", "µs per agent",
     "bytes per agent", "grew by, MiB", *(f"{name}, CPU s" for name in SET_UP),
 )  # fmt: skip
 
@@ -79,7 +79,6 @@ def step_rows(result: Result) -> list[list[str]]:
                 f"{cost.wall_ms:.2f}",
                 f"{1000 / max(cost.wall_ms, 1e-9):.1f}",
                 f"{1000 * cost.cpu_ms / max(measurement.agents, 1):.2f}",
-                ratio_text(measurement.ratios(name, BOUND)) if BOUND in measurement.costs else "",
                 f"{measurement.state / max(measurement.agents, 1):,.0f}",
                 f"{measurement.memory / 2**20:,.0f}",
                 *set_up_of(measurement),
@@ -129,42 +128,13 @@ def describe_result(result: Result) -> str:
     words += [case.description] if case is not None else []
     words += [f"{measurement.neighbours:.1f} neighbours each"] if measurement.neighbours is not None else []
     words.append(f"{measurement.nodes:,} nodes of the plan")
-    if "elements" in measurement.counts:
-        words.append(f"{measurement.counts['elements'] / max(measurement.agents, 1):,.0f} operations per agent and step")
     words += [case.published_figures] if case is not None and case.published_figures else []
     return "; ".join(words)
 
 
 def as_json(results: Sequence[Result]) -> dict[str, Any]:
     """All that was measured, with the ratios that tables show."""
-    return {
-        "machine": describe_machine(),
-        "results": [
-            {
-                "alone": [measurement.as_json() for measurement in result.alone],
-                "together": None if result.together is None else result.together.as_json(),
-            }
-            for result in results
-        ],
-    }
-
-
-def from_json(data: dict[str, Any]) -> list[Result]:
-    """The results of what `as_json` gave."""
-    return [
-        Result(
-            tuple(Measurement.from_json(each) for each in one["alone"]),
-            None if one["together"] is None else Measurement.from_json(one["together"]),
-        )
-        for one in data["results"]
-    ]
-
-
-def markdown_table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of a page."""
-    lines = ["| " + " | ".join(columns) + " |", "|" + "---|" * len(columns)]
-    lines += ["| " + " | ".join(row) + " |" for row in rows]
-    return "\n".join(lines) + "\n"
+    return {"machine": describe_machine(), "results": [asdict(result) for result in results]}
 
 
 def describe_machine() -> dict[str, str]:

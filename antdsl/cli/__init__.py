@@ -18,7 +18,7 @@ gc.set_threshold(100_000, 50, 50)
 import typer  # noqa: E402
 from typer.core import TyperGroup  # noqa: E402
 
-from antdsl.cli import (  # noqa: E402
+from antdsl.cli.commands import (  # noqa: E402
     bench,
     body,
     check,

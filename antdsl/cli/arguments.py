@@ -78,12 +78,13 @@ def parse_number_set(text: str | None, flag: str) -> frozenset[int] | None:
     """Return the integers of a list such as `3,8..12`; None for None."""
     if text is None:
         return None
+    from antdsl.scene.quantities import QuantityError, parse_integer_range
+
     numbers: set[int] = set()
     for word in text.split(","):
-        first, dots, last = word.strip().partition("..")
         try:
-            low, high = int(first), int(last if dots else first)
-        except ValueError:
+            low, high = parse_integer_range(word)
+        except QuantityError:
             low, high = 1, 0
         if not 0 <= low <= high or high - low > 1_000_000:
             raise typer.BadParameter(f"`{text}` is not a list of ids such as 3,8..12", param_hint=flag)
@@ -96,10 +97,12 @@ def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, flo
     most one frame apart. None for None."""
     if text is None:
         return None
-    match = re.fullmatch(r"(-?\d*\.?\d+)\.\.(-?\d*\.?\d+)", text.strip(), re.ASCII)
-    if match is None or len(text) > 32:
-        raise typer.BadParameter(f"`{text}` is not a time: write `-0.25..0.25`, in frames", param_hint=flag)
-    first, last = float(match[1]), float(match[2])
+    from antdsl.scene.quantities import QuantityError, parse_number_range
+
+    try:
+        first, last = parse_number_range(text)
+    except QuantityError:
+        raise typer.BadParameter(f"`{text}` is not a time: write `-0.25..0.25`, in frames", param_hint=flag) from None
     if not -1 <= first < last <= 1 or last - first > 1:
         words = f"`{text}` is not open for at most one frame, from -1 to 1; write `-0.25..0.25`"
         raise typer.BadParameter(words, param_hint=flag)

@@ -9,7 +9,8 @@ import ipaddress
 import re
 import signal
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,12 +21,11 @@ from antdsl.cli.printing.messages import print_note
 from antdsl.numerics.host import cores
 
 if TYPE_CHECKING:
-    from antdsl.executors import Task, TaskOutcome
-    from antdsl.executors.cluster import Cluster
-    from antdsl.executors.parcel import VisibleFile
+    from antdsl.executors import Engine, Task, TaskOutcome
+    from antdsl.executors.input_bundle import VisibleFile
     from antdsl.shots.placing import Destination
 
-Where = tuple[str, Path | None, bool]
+Where = tuple[str | None, Path | None, bool]  # address of a scheduler, certificates, and whether it may run without them
 SCHEDULER: Any = typer.Option(
     None,
     "--scheduler",
@@ -55,18 +55,18 @@ def require_scheduler(address: str | None, tls: Path | None, no_tls: bool) -> No
 
 
 @contextmanager
-def open_cluster(
-    address: str,
-    tls: Path | None,
-    no_tls: bool,
-    workers: int,
-    threads: int,
-    files: Iterable[Path],
-    visible_file: VisibleFile | None = None,
-) -> Iterator[Cluster]:
-    """Connect to the cluster at an address. Its workers have received the files, or see `visible_file` at its path. `workers`
-    with `threads` threads each are started if the cluster is local. Problems end the command; raises WorkersLost where no
+def open_engine(
+    where: Where, workers: int, threads: int, files: Iterable[Path], visible_file: VisibleFile | None = None
+) -> Iterator[Engine]:
+    """Yield what runs the tasks of a command: `workers` processes with `threads` threads each, or the cluster at an address. Its
+    workers have received the files, or see `visible_file` at its path. Problems end the command; raises WorkersLost where no
     scheduler answers."""
+    address, tls, no_tls = where
+    if not address:
+        from antdsl.executors import Processes
+
+        yield Processes(workers, threads)
+        return
     folder = _certificate_folder(address, tls, no_tls)
     from importlib.util import find_spec
 
@@ -77,17 +77,11 @@ def open_cluster(
     from antdsl.executors.cluster import connect, load_security, local_cluster
 
     try:
-        if address == "local":
-            with (
-                local_cluster(workers, threads) as (local_address, security),
-                connect(local_address, security, files, visible_file) as connected_cluster,
-            ):
-                yield connected_cluster
-        else:
-            with connect(
-                address, load_security(folder) if folder is not None else None, files, visible_file
-            ) as connected_cluster:
-                yield connected_cluster
+        with ExitStack() as stack:
+            security = None if folder is None else load_security(folder)
+            if address == "local":
+                address, security = stack.enter_context(local_cluster(workers, threads))
+            yield stack.enter_context(connect(address, security, files, visible_file))
     except TaskRefused as why:
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}") from None
 
@@ -187,25 +181,24 @@ def run_cache_tasks(
     certificates, and whether it may run without them. `tasks` is called with the complete cache, its links resolved, and the
     destination of files. If a task fails, the command ends after all have run; it also ends if the scheduler is lost."""
     from antdsl.bounded import real_path
-    from antdsl.executors import WorkersLost
-    from antdsl.executors.parcel import VisibleFile
+    from antdsl.executors import WorkersLost, run_tasks
+    from antdsl.executors.input_bundle import VisibleFile
     from antdsl.outputs.cache.cache_reader import STATIC, frame_path, open_cache
     from antdsl.outputs.cache.hashes import HASHES
     from antdsl.outputs.cache.manifest import MANIFEST
-    from antdsl.shots.placing import mark_folder, run_and_fetch
+    from antdsl.shots.placing import mark_folder
 
     cache = real_path(cache)
     files = [*(cache / name for name in (MANIFEST, STATIC, HASHES)), *(frame_path(cache, f) for f in open_cache(cache).frames())]
     failed = 0
+    print_warning = partial(print_note, err=True)
     try:
-        with open_cluster(*where, cores(), 1, files, VisibleFile.of(cache / HASHES)) as executors, mark_folder(to) as place:
-            for answered in run_and_fetch(
-                tasks(cache, place), executors, lambda task: to, noted=lambda words: print_note(words, err=True)
-            ):
+        with open_engine(where, cores(), 1, files, VisibleFile.of(cache / HASHES)) as engine, mark_folder(to) as place:
+            for answered in run_tasks(tasks(cache, place), engine, noted=print_warning, folder_of=lambda task: to):
                 if answered.answer is None:
                     failed += 1
                     first, last = (answered.task.document["frames"][number] for number in (0, -1))
-                    print_note(f"failed: frames {first}..{last}: {answered.problem}", err=True)
+                    print_warning(f"failed: frames {first}..{last}: {answered.problem}")
                 else:
                     yield answered
     except WorkersLost as why:

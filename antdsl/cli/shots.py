@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, nullcontext
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,14 +14,12 @@ from antdsl.cli.destinations import default_path, protect_inputs, require_writab
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.memory_demand import require_memory
 from antdsl.cli.printing.messages import print_note
-from antdsl.cli.scheduler import open_cluster, raise_on_sigterm, stop_exit_code
+from antdsl.cli.scheduler import Where, open_engine, raise_on_sigterm, stop_exit_code
 from antdsl.numerics.host import cores
 
 if TYPE_CHECKING:
-    from antdsl.executors import Executors, Task
+    from antdsl.executors import Task
     from antdsl.pipeline import Choices
-
-Where = tuple[str | None, Path | None, bool]
 
 
 def run_shots(
@@ -38,14 +37,14 @@ def run_shots(
     `threads`: of each scene, 0 to share out the cores."""
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.diagnostics import Report
-    from antdsl.executors import Processes, WorkersLost
+    from antdsl.executors import WorkersLost, run_tasks
     from antdsl.outputs.cache.cache_reader import NAMES
     from antdsl.outputs.cache.cache_writer import ForeignFolder, PathBlocked, prepare_folder
     from antdsl.outputs.starting import StartError
     from antdsl.pipeline import open_scene
     from antdsl.scene.paths import record_sought
     from antdsl.shots.caches import cache_task, remove_other_frames
-    from antdsl.shots.placing import mark_folder, run_and_fetch
+    from antdsl.shots.placing import mark_folder
     from antdsl.sweep.jobs import start_hashes
 
     folders = _cache_folders(scenes, out)
@@ -67,14 +66,11 @@ def run_shots(
     exit_on_errors(report)
     processes = min(cores(), len(scenes))
     per = threads or max(1, cores() // processes)
-    scheduler, tls, no_tls = where
-    if not any_memory and not scheduler:  # a cluster's machines have memory of their own
+    if not any_memory and not where[0]:  # a cluster's machines have memory of their own
         require_memory([shot for shot in shots if shot is not None], processes)
     files = [path for path in read if path.is_file()]
-    running: AbstractContextManager[Executors] = nullcontext(Processes(processes, per))
-    if scheduler:
-        running = open_cluster(scheduler, tls, no_tls, processes, per, files)
     failed = 0
+    print_warning = partial(print_note, err=True)
     try:
         with ExitStack() as stack:
             stack.enter_context(raise_on_sigterm())
@@ -90,19 +86,19 @@ def run_shots(
             for shot, scene, folder in zip(shots, scenes, folders, strict=True):
                 assert shot is not None
                 tasks.append(cache_task(shot, scene, choices, options, parents[folder.parent], folder.name))
-            executors = stack.enter_context(running)
+            engine = stack.enter_context(open_engine(where, processes, per, files))
             where_to = {each.key: folder for each, folder in zip(tasks, folders, strict=True)}
 
             def parent(each: Task) -> Path:
                 return where_to[each.key].parent
 
-            for answered in run_and_fetch(tasks, executors, parent, noted=lambda words: print_note(words, err=True)):
+            for answered in run_tasks(tasks, engine, noted=print_warning, folder_of=parent):
                 folder = where_to[answered.task.key]
                 for note in answered.notes:
-                    print_note(f"{folder.name}: {note}", err=True)
+                    print_warning(f"{folder.name}: {note}")
                 if answered.answer is None:
                     failed += 1
-                    print_note(f"failed: {answered.task.document['scene']}: {answered.problem}", err=True)
+                    print_warning(f"failed: {answered.task.document['scene']}: {answered.problem}")
                     continue
                 if answered.answer["files"]:
                     remove_other_frames(folder, answered.answer["files"], folder.name)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -110,15 +109,20 @@ def _require_sound(report: Report) -> None:
 def parse_widths(request: SweepRequest) -> list[WidthGoal]:
     """Return the widths of `NAME=WIDTH` words, if there are enough seeds for any."""
     from antdsl.cli.arguments import parse_pairs
+    from antdsl.scene.quantities import QuantityError, parse_number, split_quantity
     from antdsl.sweep.stopping import WidthGoal, least_runs
 
     widths = []
     for name, text in parse_pairs(request.until_known, "--until-known").items():
-        number = re.fullmatch(r"([0-9]*\.?[0-9]+)\s*(%?)", text, re.ASCII)
-        if number is None or not float(number[1]):
+        try:
+            digits, unit = split_quantity(text)
+            number = parse_number(digits)
+        except QuantityError:
+            number, unit = 0.0, ""
+        if number <= 0 or unit not in ("", "%"):
             words = f"`{text}` is not a width: write `{name}=0.5`, or a share of the median: `{name}=10%`"
             raise typer.BadParameter(words, param_hint="--until-known")
-        widths.append(WidthGoal(name, float(number[1]) * (0.01 if number[2] else 1.0), bool(number[2])))
+        widths.append(WidthGoal(name, number * (0.01 if unit else 1.0), bool(unit)))
     if widths and len(_parse_seeds(request.seeds)) < least_runs():
         words = f"a median needs at least {least_runs()} runs: write `--seeds 50`, the maximum number of runs"
         raise typer.BadParameter(words, param_hint="--until-known")
@@ -126,8 +130,12 @@ def parse_widths(request: SweepRequest) -> list[WidthGoal]:
 
 
 def _parse_seeds(text: str) -> range:
-    match = re.fullmatch(r"([0-9]{1,6})(?:\.\.([0-9]{1,6}))?", text.strip())
-    first, last = (1, int(match[1])) if match and match[2] is None else (int(match[1]), int(match[2])) if match else (1, 0)
-    if not match or last < first:
+    from antdsl.scene.quantities import QuantityError, parse_integer_range
+
+    try:
+        first, last = parse_integer_range(text if ".." in text else f"1..{text}")
+    except QuantityError:
+        first, last = 1, 0
+    if not 0 <= first <= last < 1_000_000:
         raise typer.BadParameter(f"`{text}` is not a number of seeds: write N, or A..B", param_hint="--seeds")
     return range(first, last + 1)

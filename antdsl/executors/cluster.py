@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import logging
-import threading
 import time
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Executor, Future
@@ -29,8 +28,8 @@ from antdsl.executors.cluster_worker import (
     sees_file,
     worker_identity,
 )
-from antdsl.executors.parcel import FileBundle, VisibleFile, pack
-from antdsl.executors.tasks import LOOK, LOOPBACK, TLS_FILES, Task, TaskRefused, WorkersLost
+from antdsl.executors.input_bundle import FileBundle, VisibleFile, pack
+from antdsl.executors.tasks import LOOK, LOOPBACK, TLS_FILES, Engine, Task, TaskRefused, WorkersLost
 from antdsl.source_hash import sources
 
 _ROLES = ("scheduler", "worker", "nanny")
@@ -76,7 +75,7 @@ def connect(
     address: str, security: Security | None, files: Iterable[Path], visible_file: VisibleFile | None = None
 ) -> Iterator[Cluster]:
     """Connect to a cluster. Its workers have received the files, or all see one file (`visible_file`) and are assumed to see the
-    others. Raises Lost where no scheduler answers, Refused where all its workers are rejected or the files are too large."""
+    others. Raises WorkersLost where no scheduler answers, TaskRefused where it has no fit worker or the files are too large."""
     for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what there is to tell we tell
     with ExitStack() as stack:
@@ -92,30 +91,29 @@ def connect(
         yield cluster
 
 
-class Cluster:
+class Cluster(Engine):
     """Runs tasks on the workers of a Dask cluster."""
 
     def __init__(self, client: Any, bundle: FileBundle, visible_file: VisibleFile | None) -> None:
         self._client = client
         self._project = Project(bundle, sources(), visible_file)
         self.name: str = self._project.name
-        self._heard: SimpleQueue[dict[str, Any]] = SimpleQueue()
-        self._told: list[str] = []
-        self._once: set[str] = set()  # messages that were reported
+        self._events: SimpleQueue[dict[str, Any]] = SimpleQueue()
+        self._messages: list[str] = []
+        self._reported: set[str] = set()
         self._frames: dict[str, int] = {}
-        self._keys: dict[int, str] = {}
+        self._keys: dict[Future[str], str] = {}  # of running tasks
+        self._abandoned: set[str] = set()  # keys of tasks that are not submitted again
         self._fit: set[str] = set()  # workers that have said so
-        self._there: set[str] = set()  # those of them that were there when it was looked last
+        self._present: set[str] = set()  # those of them that were there when it was looked last
         self._looked = -1e9
-        self._given: dict[Future[str], tuple[Task, Future[str]]] = {}
         self._attempt = 0
         self._in_vain = 0  # times that all tasks were resubmitted since the last answer
-        self._lock = threading.RLock()
 
     def send_files(self) -> None:
         """Send the files to the existing workers, and to those that join later."""
         client = self._client
-        client.subscribe_topic(self.name, lambda event: self._heard.put(event[1]))
+        client.subscribe_topic(self.name, lambda event: self._events.put(event[1]))
         worker_identities = client.run(worker_identity, on_error="return")
         unfit = {}
         for address, has in worker_identities.items():
@@ -125,84 +123,74 @@ class Cluster:
                 unfit[address] = explain_mismatch(address, has, sources())
         if worker_identities and len(unfit) == len(worker_identities):
             raise TaskRefused("\n".join(unfit.values()))
-        for words in unfit.values():
-            self._told.append(words)
+        self._messages += unfit.values()
         with suppress(ImportError, AttributeError):  # by a worker that has been reported
             client.register_plugin(self._project)
         until = time.monotonic() + _FIRST
         while worker_identities and not self._fit and time.monotonic() < until:
-            self._read_messages()
+            self._read_events()
             time.sleep(0.02)
-        self._there = set(self._fit)
+        self._present = set(self._fit)
         if not worker_identities:
-            self._told.append("no worker has come to the scheduler yet; it goes on once one does")
+            self._messages.append("no worker has come to the scheduler yet; it goes on once one does")
 
     @property
     def task_capacity(self) -> int:
         """Return two tasks for each worker, so that no worker waits for its next task."""
-        return 2 * max(len(self._there), 1)
+        return 2 * max(len(self._present), 1)
 
-    def start(self) -> Executor:
-        if self._client.status != "running":
-            raise WorkersLost("the scheduler is gone")
-        executor: Executor = self._client.get_executor(pure=True, resources={self.name: 1})
-        return executor
+    def start(self) -> None:
+        self._require_scheduler()
+        self._executor: Executor = self._client.get_executor(pure=True, resources={self.name: 1})
 
-    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
-        self._keys[place] = task.key
+    def submit(self, task: Task) -> Future[str]:
+        self._require_scheduler()
         self._frames.pop(task.key, None)
-        outer: Future[str] = Future()
-        self._submit_task(executor, outer, task)
-        return outer
-
-    def _submit_task(self, executor: Executor, outer: Future[str], task: Task) -> None:
-        with self._lock:
-            inner = executor.submit(perform_on_worker, task.work, json.dumps(task.document), self.name, task.key, self._attempt)
-            self._given[outer] = task, inner
-            self._executor = executor
-        inner.add_done_callback(lambda finished_future: self._finish_task(outer, finished_future))
-
-    def _finish_task(self, outer: Future[str], inner: Future[str]) -> None:
-        with self._lock:
-            if self._given.get(outer, (None, None))[1] is not inner:
-                return  # it was resubmitted
-            del self._given[outer]
-            self._in_vain = 0
-        if inner.cancelled():
-            outer.cancel()
-            outer.set_running_or_notify_cancel()
-        elif (why := inner.exception()) is not None:
-            ended = TaskRefused(_ALL_LOST) if isinstance(why, KilledWorker) else why
-            outer.set_exception(ended)
+        future: Future[str] = Future()
+        if task.key in self._abandoned:
+            future.set_exception(TaskRefused(_ALL_LOST))
         else:
-            outer.set_result(inner.result())
+            words = task.work, json.dumps(task.document), self.name, task.key, self._attempt
+            future = self._executor.submit(perform_on_worker, *words)
+        self._keys[future] = task.key
+        return future
 
-    def frame(self, place: int) -> int | None:
-        return self._frames.get(self._keys[place])
+    def _require_scheduler(self) -> None:
+        if self._client.status != "running":
+            raise WorkersLost(self.break_reason())
+
+    def frame(self, future: Future[str]) -> int | None:
+        return self._frames.get(self._keys.get(future, ""))
 
     def take_notes(self) -> Iterable[str]:
-        self._read_messages()
+        self._read_events()
         self._check_workers()
-        sentences = [sentence for sentence in dict.fromkeys(self._told) if sentence not in self._once]
-        self._told = []
-        self._once.update(sentences)  # a rejected worker reports this too
-        return sentences
+        messages = [message for message in dict.fromkeys(self._messages) if message not in self._reported]
+        self._messages = []
+        self._reported.update(messages)  # a rejected worker reports this too
+        return messages
 
-    def _read_messages(self) -> None:
-        """Take in what workers have said."""
+    def _read_events(self) -> None:
+        """Read what workers have said."""
         with suppress(Empty):
             while True:
-                said = self._heard.get_nowait()
+                said = self._events.get_nowait()
                 if isinstance(said.get("frame"), int):
                     self._frames[str(said.get("key"))] = said["frame"]
                 elif "fit" in said:
                     self._fit.add(str(said["fit"]))
                 elif "refused" in said:
-                    self._told.append("".join(s if s.isprintable() else " " for s in str(said["refused"])[:_SENTENCE_LENGTH]))
+                    message = str(said["refused"])[:_SENTENCE_LENGTH]
+                    self._messages.append("".join(s if s.isprintable() else " " for s in message))
 
     def _check_workers(self) -> None:
-        """Check from time to time which workers are available. If none was available and one is now, all tasks are resubmitted.
-        Dask assigns waiting tasks when a worker joins, which is before it has the files."""
+        """Check from time to time which workers are available. If none was available and one is now, all tasks are cancelled, so
+        that they are submitted again. Dask assigns waiting tasks when a worker joins, which is before it has the files."""
+        finished_futures = [future for future in self._keys if future.done()]
+        if not all(future.cancelled() for future in finished_futures):
+            self._in_vain = 0
+        for future in finished_futures:
+            del self._keys[future]
         if time.monotonic() - self._looked < LOOK:
             return
         self._looked = time.monotonic()
@@ -210,29 +198,25 @@ class Cluster:
             present_workers = self._fit & set(self._client.nthreads())
         except OSError:
             return  # of a scheduler that is gone; the tasks say so
-        if present_workers and not present_workers & self._there:
-            with self._lock:
-                self._attempt, self._in_vain = self._attempt + 1, self._in_vain + 1
-                assignments = list(self._given.items())
-                for outer, (task, inner) in assignments:
-                    if self._in_vain > _IN_VAIN:
-                        del self._given[outer]
-                        outer.set_exception(TaskRefused(_ALL_LOST))
-                    else:
-                        self._submit_task(self._executor, outer, task)
-                    inner.cancel()
-        self._there = present_workers
+        if present_workers and not present_workers & self._present:
+            self._attempt, self._in_vain = self._attempt + 1, self._in_vain + 1
+            if self._in_vain > _IN_VAIN:
+                self._abandoned.update(self._keys.values())
+            for future in list(self._keys):
+                future.cancel()
+        self._present = present_workers
 
     def break_reason(self) -> str:
         return "the scheduler is gone"
 
-    def stop(self, executor: Executor) -> None:
+    def describe_failure(self, why: BaseException) -> str:
+        return _ALL_LOST if isinstance(why, KilledWorker) else super().describe_failure(why)
+
+    def stop(self) -> None:
         with suppress(Exception):  # of a scheduler that is gone
-            executor.shutdown(wait=False)
+            self._executor.shutdown(wait=False)
 
     def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
-        """Yield the parts of a file that a task wrote on a worker. Raises WorkersLost if it is missing or ends before its
-        size."""
         start = 0
         while start < size:
             try:
@@ -245,6 +229,5 @@ class Cluster:
             yield part
 
     def forget(self, worker: str, folder: str) -> None:
-        """Have a worker remove what a task made."""
         with suppress(OSError, KeyError):
             self._client.run(remove_results, self.name, folder, workers=[worker])

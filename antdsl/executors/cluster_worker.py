@@ -12,7 +12,6 @@ import functools
 import platform
 import shutil
 import threading
-import time
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -22,8 +21,8 @@ from distributed.diagnostics.plugin import WorkerPlugin
 
 from antdsl import __version__
 from antdsl.bounded import open_bounded
-from antdsl.executors.parcel import FileBundle, VisibleFile, unpacked_path
-from antdsl.executors.tasks import LOOK, TaskRefused, Work, Worker, perform
+from antdsl.executors.input_bundle import FileBundle, VisibleFile, unpacked_path
+from antdsl.executors.tasks import TaskRefused, Work, Worker, perform
 from antdsl.limits import MADE_BYTES, MIB
 from antdsl.source_hash import sources
 
@@ -35,7 +34,7 @@ class Project(WorkerPlugin):  # type: ignore[misc]
 
     def __init__(self, bundle: FileBundle, sources: str, visible_file: VisibleFile | None) -> None:
         self.name = f"antdsl-{visible_file.digest if visible_file is not None else bundle.digest}-{sources}"
-        self.parcel, self.sources, self.seen = bundle, sources, visible_file
+        self.bundle, self.sources, self.visible_file = bundle, sources, visible_file
         self.worker: Worker | None = None
 
     async def setup(self, worker: Any) -> None:
@@ -43,13 +42,13 @@ class Project(WorkerPlugin):  # type: ignore[misc]
         if self.sources != sources():
             worker.log_event(self.name, {"refused": explain_mismatch(worker.address, worker_identity(), self.sources)})
             return
-        if self.seen is not None and not self.seen.is_visible():
-            message = f"worker {worker.address} does not see `{self.seen.path}`, as the others do, so it is given nothing"
+        if self.visible_file is not None and not self.visible_file.is_visible():
+            message = f"worker {worker.address} does not see `{self.visible_file.path}`, as the others do, so it is given nothing"
             worker.log_event(self.name, {"refused": message})
             return
         folder = Path(worker.local_directory) / self.name
         try:
-            await asyncio.to_thread(_unpack_bundle, self.parcel, folder)
+            await asyncio.to_thread(_unpack_bundle, self.bundle, folder)
         except (OSError, TaskRefused) as why:
             words = str(why) if isinstance(why, TaskRefused) else f"its disk: {(why.strerror or str(why)).lower()}"
             worker.log_event(
@@ -57,7 +56,7 @@ class Project(WorkerPlugin):  # type: ignore[misc]
             )
             return
         files = folder / "files"
-        local_path = Path if self.seen is not None else functools.partial(unpacked_path, files)
+        local_path = Path if self.visible_file is not None else functools.partial(unpacked_path, files)
         self.worker = Worker(worker.state.nthreads, local_path=local_path, scratch=folder / "made", name=worker.address)
         if self.name not in worker.state.total_resources:  # said again, it would count as free what a task has
             await worker.set_resources(**{self.name: 1})
@@ -103,17 +102,12 @@ def perform_on_worker(work: Work, text: str, name: str, key: str, attempt: int) 
     project = dask_worker.plugins.get(name)
     if project is None or project.worker is None:
         raise TaskRefused(f"worker {dask_worker.address} does not have the files")
-    said = time.monotonic()
 
-    def report_frame(frame: int) -> None:
-        nonlocal said
-        if time.monotonic() - said > LOOK:
-            said = time.monotonic()
-            dask_worker.log_event(name, {"key": key, "frame": frame})
+    def say_frame(frame: int) -> None:
+        dask_worker.log_event(name, {"key": key, "frame": frame})
 
-    project.worker.report_frame = report_frame
     try:
-        return perform(work, text, project.worker)
+        return perform(work, text, project.worker, say_frame)
     except OSError as why:
         raise TaskRefused(f"worker {dask_worker.address}: {(why.strerror or str(why)).lower()}") from None
 

@@ -11,49 +11,46 @@ import threading
 import time
 import warnings
 from collections.abc import MutableSequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from multiprocessing.process import BaseProcess
 
 from antdsl.child_processes import isolate
-from antdsl.executors.tasks import LOOK, Task, Work, Worker, perform
+from antdsl.executors.tasks import Engine, Task, Work, Worker, perform
 
 _PATIENCE = 5.0  # seconds to wait for the end of a process
 _NONE = -(2**62)  # where no frame is known
 
 
-class Processes:
-    """So many processes, with so many threads each."""
+class Processes(Engine):
+    """An engine of `count` processes with `threads` threads each."""
+
+    task_capacity = 0
 
     def __init__(self, count: int, threads: int) -> None:
-        self._count = count
-        self._threads = threads
-        self._frames: MutableSequence[int] = []
+        self.task_capacity, self._threads = count, threads
+        self._pool: ProcessPoolExecutor | None = None
         self._before: frozenset[BaseProcess] = frozenset()
         self._own: set[BaseProcess] = set()
 
-    @property
-    def task_capacity(self) -> int:
-        return self._count
-
-    def start(self) -> Executor:
+    def start(self) -> None:
         isolate()
         context = multiprocessing.get_context("spawn")
-        self._frames = context.RawArray("q", [_NONE] * self._count)
+        self._frames: MutableSequence[int] = context.RawArray("q", [_NONE] * self.task_capacity)
+        self._slots: list[Future[str] | None] = [None] * self.task_capacity  # which task writes which of the frames
         self._before, self._own = frozenset(multiprocessing.active_children()), set()
-        return ProcessPoolExecutor(self._count, context, _start_process, (self._threads, self._frames))
+        self._pool = ProcessPoolExecutor(self.task_capacity, context, _start_process, (self._threads, self._frames))
 
-    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
-        self._frames[place] = _NONE
-        future = executor.submit(_perform, task.work, json.dumps(task.document), place)
+    def submit(self, task: Task) -> Future[str]:
+        assert self._pool is not None
+        slot = next(number for number, future in enumerate(self._slots) if future is None or future.done())
+        self._frames[slot] = _NONE
+        future = self._slots[slot] = self._pool.submit(_perform, task.work, json.dumps(task.document), slot)
         self._own.update(set(multiprocessing.active_children()) - self._before)
         return future
 
-    def frame(self, place: int) -> int | None:
-        frame = self._frames[place]
+    def frame(self, future: Future[str]) -> int | None:
+        frame = self._frames[self._slots.index(future)]
         return None if frame == _NONE else frame
-
-    def take_notes(self) -> tuple[str, ...]:
-        return ()
 
     def break_reason(self) -> str:
         for process in self._own:
@@ -62,8 +59,10 @@ class Processes:
         # the pool itself ends the others by SIGTERM once one is gone
         return _describe_end(next((code for code in codes if code not in (None, 0, -signal.SIGTERM)), -signal.SIGTERM))
 
-    def stop(self, executor: Executor) -> None:
-        executor.shutdown(wait=False, cancel_futures=True)
+    def stop(self) -> None:
+        if self._pool is None:
+            return
+        self._pool.shutdown(wait=False, cancel_futures=True)
         for process in self._own:
             process.terminate()
         until = time.monotonic() + _PATIENCE
@@ -72,7 +71,7 @@ class Processes:
             if process.is_alive():
                 process.kill()
                 process.join()
-        executor.shutdown(wait=True)
+        self._pool.shutdown(wait=True)
 
 
 def _describe_end(code: int | None) -> str:
@@ -107,14 +106,8 @@ def _end_with_parent() -> None:
         os._exit(1)
 
 
-def _perform(work: Work, text: str, place: int) -> str:
-    said = time.monotonic()
+def _perform(work: Work, text: str, slot: int) -> str:
+    def say_frame(frame: int) -> None:
+        _frames[slot] = frame
 
-    def report_frame(frame: int) -> None:
-        nonlocal said
-        if time.monotonic() - said > LOOK:
-            said = time.monotonic()
-            _frames[place] = frame
-
-    _worker.report_frame = report_frame
-    return perform(work, text, _worker)
+    return perform(work, text, _worker, say_frame)

@@ -1,21 +1,25 @@
-"""Submits tasks to a `concurrent.futures.Executor` and yields their results as they arrive; replaces a broken executor."""
+"""Submits tasks to an engine and yields their results as they arrive; tasks that were lost run again."""
 
 from __future__ import annotations
 
+import hashlib
 import json
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Executor, Future, wait
+from concurrent.futures import FIRST_COMPLETED, BrokenExecutor, Future, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, field
-from itertools import count
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
-from antdsl.limits import ANSWER_BYTES
+from antdsl.limits import ANSWER_BYTES, MADE_BYTES
+from antdsl.whole import atomic_file, make_folder
 
 TLS_FILES = ("ca.pem", "cert.pem", "key.pem")  # in a folder of certificates: the authority's, one's own, and its key
 LOOPBACK = "127.0.0.1"  # where a cluster of this machine listens
 LOOK = 0.5  # seconds between looks at how far tasks are
+_TRIES = 3  # attempts of a task with files that cannot be fetched
 
 Answer = dict[str, Any]
 
@@ -50,7 +54,7 @@ Work = Callable[[dict[str, Any], Worker], Answer]
 @dataclass(frozen=True, slots=True)
 class Task:
     """`work`: a function at module level of antdsl; `document`: its argument, as JSON values; `key`: a unique name of the
-    task."""
+    task. An answer with `files` (path, size, digest), `worker` and `made` tells which files are to be fetched."""
 
     key: str
     work: Work
@@ -67,106 +71,187 @@ class TaskOutcome:
     notes: tuple[str, ...] = ()
 
 
-class Executors(Protocol):
-    """Where tasks run."""
+class Engine:
+    """Runs tasks. A future that is cancelled is of a lost task, which is submitted again; one that has BrokenExecutor has lost
+    its process, perhaps by its own fault."""
 
     @property
     def task_capacity(self) -> int:
-        """How many tasks to have under way."""
+        """Return how many tasks to have running."""
+        raise NotImplementedError
 
-    def start(self) -> Executor:
-        """Return a new executor, in place of a broken one."""
+    def start(self) -> None:
+        """Begin, or begin again after a stop. Raises WorkersLost."""
+        raise NotImplementedError
 
-    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
-        """Submit a task. `place`: a number below `task_capacity` that no other running task has."""
+    def submit(self, task: Task) -> Future[str]:
+        """Submit a task; fewer than `task_capacity` are running. Raises WorkersLost."""
+        raise NotImplementedError
 
-    def frame(self, place: int) -> int | None:
-        """Return the current frame of the task at a place, if known."""
+    def stop(self) -> None:
+        """End all running tasks at once."""
+        raise NotImplementedError
+
+    def frame(self, future: Future[str]) -> int | None:
+        """Return the current frame of a running task, if known."""
+        return None
 
     def take_notes(self) -> Iterable[str]:
         """Return the messages about workers since the last call."""
+        return ()
 
     def break_reason(self) -> str:
-        """What ended the executor, once it is broken."""
+        """Return what ended the processes, once they are broken."""
+        raise NotImplementedError
 
-    def stop(self, executor: Executor) -> None:
-        """End it, and what it runs, at once."""
+    def describe_failure(self, why: BaseException) -> str:
+        """Return the message for a task that ended with an exception. Raises it if it is a mistake of antdsl."""
+        if isinstance(why, TaskRefused | MemoryError | OSError):
+            return str(why) or "out of memory"
+        raise why
+
+    def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
+        """Yield the parts of a file that a task wrote on a worker. Raises WorkersLost if it is missing or ends before its
+        size."""
+        raise NotImplementedError
+
+    def forget(self, worker: str, folder: str) -> None:
+        """Have a worker remove what a task wrote."""
 
 
 def run_tasks(
     tasks: Iterable[Task],
-    executors: Executors,
+    engine: Engine,
     report_frame: Callable[[Task, int], None] = lambda task, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
+    folder_of: Callable[[Task], Path] = lambda task: Path(),
 ) -> Iterator[TaskOutcome]:
-    """Run tasks and yield the outcome of each as it is known. `report_frame` is called from time to time with the frame that a
-    task has reached, `noted` with messages about workers. `tasks` is read one at a time, whenever another one can start.
+    """Run tasks and yield the outcome of each as it is known, once its files are in `folder_of(task)`. `report_frame` is called
+    from time to time with the frame that a task has reached, `noted` with messages about workers. `tasks` is read one at a time,
+    whenever another one can start.
 
-    Where a process is lost, the cause is unknown: all running tasks are run again, one by one. A task that breaks the executor
-    when it runs alone is given up. Raises WorkersLost where no executor can be started again."""
-    waiting, suspects = iter(tasks), deque[Task]()
-    running: dict[Future[str], tuple[Task, int]] = {}
-    executor, alone = executors.start(), False
+    Where a process is lost, the cause is unknown: all running tasks are run again, one by one. A task that breaks the engine when
+    it runs alone is given up. Raises WorkersLost where the engine cannot start again."""
+    waiting, suspects, lost = iter(tasks), deque[Task](), deque[Task]()
+    running: dict[Future[str], Task] = {}
+    attempts: dict[str, int] = {}
+    alone = False
     try:
+        engine.start()
         while True:
             if not running:
                 alone = bool(suspects)  # and it stays so until that one has ended
-            while len(running) < (1 if alone else executors.task_capacity):
-                task = suspects.popleft() if alone else next(waiting, None)
+            while len(running) < (1 if alone else engine.task_capacity):
+                task = suspects.popleft() if alone else lost.popleft() if lost else next(waiting, None)
                 if task is None:
                     break
-                taken = {place for _, place in running.values()}
-                place = next(number for number in count() if number not in taken)
-                running[executors.submit(executor, task, place)] = task, place
+                running[engine.submit(task)] = task
             if not running:
                 return
             finished_futures, _ = wait(running, timeout=LOOK, return_when=FIRST_COMPLETED)
-            for sentence in executors.take_notes():
+            for sentence in engine.take_notes():
                 noted(sentence)
-            for future, (task, place) in running.items():
-                frame = executors.frame(place) if future not in finished_futures else None
+            for future, task in running.items():
+                frame = engine.frame(future) if future not in finished_futures else None
                 if frame is not None:
                     report_frame(task, frame)
-            if any(_is_broken(future) for future in finished_futures):
+            is_broken = any(map(_is_broken, finished_futures))
+            if is_broken:
                 finished_futures, _ = wait(running)  # with it all the others are broken, or answered just before
-            lost = []
+            broken_tasks = []
             for future in finished_futures:
-                task, _ = running.pop(future)
-                if _is_broken(future):
+                task = running.pop(future)
+                if future.cancelled():
+                    lost.append(task)
+                elif _is_broken(future):
+                    broken_tasks.append(task)
+                elif (outcome := _fetch_outcome(task, future, engine, folder_of, attempts)) is None:
                     lost.append(task)
                 else:
-                    yield _outcome_of(task, future)
-            if lost:
-                why = executors.break_reason()
-                executors.stop(executor)
-                executor = executors.start()
+                    yield outcome
+            if is_broken:
+                why = engine.break_reason()
+                engine.stop()
+                engine.start()
                 if alone:
-                    yield TaskOutcome(lost[0], None, why)
+                    yield TaskOutcome(broken_tasks[0], None, why)
                 else:
-                    suspects.extend(lost)
+                    suspects.extend(broken_tasks)
     finally:
-        executors.stop(executor)
+        engine.stop()
 
 
 def _is_broken(future: Future[str]) -> bool:
-    return future.cancelled() or isinstance(future.exception(), BrokenExecutor)
+    return not future.cancelled() and isinstance(future.exception(), BrokenExecutor)
 
 
-def _outcome_of(task: Task, future: Future[str]) -> TaskOutcome:
+def _fetch_outcome(
+    task: Task, future: Future[str], engine: Engine, folder_of: Callable[[Task], Path], attempts: dict[str, int]
+) -> TaskOutcome | None:
+    """Return the outcome of a task that has ended, after its files were fetched; None if they are lost and it is tried again.
+    `attempts`: the failed fetches by key of a task."""
     why = future.exception()
-    if isinstance(why, TaskRefused | MemoryError | OSError):
-        return TaskOutcome(task, None, str(why) or "out of memory")
     if why is not None:
-        raise why
+        return TaskOutcome(task, None, engine.describe_failure(why))
     document = json.loads(future.result())
-    return TaskOutcome(task, document["answer"], notes=tuple(document["notes"]))
+    answer, notes = document["answer"], tuple(document["notes"])
+    try:
+        if answer.get("files"):
+            _fetch_files(answer, engine, folder_of(task))
+    except WorkersLost as lost:
+        attempts[task.key] = attempts.get(task.key, 0) + 1
+        return None if attempts[task.key] < _TRIES else TaskOutcome(task, None, str(lost), notes)
+    except (OSError, TaskRefused) as refused:
+        return TaskOutcome(task, None, str(refused), notes)
+    return TaskOutcome(task, answer, notes=notes)
 
 
-def perform(work: Work, text: str, worker: Worker) -> str:
-    """Do a task where it runs: JSON in, JSON out."""
+def _fetch_files(answer: Answer, engine: Engine, folder: Path) -> None:
+    """Move the files of an answer to a folder, each atomically, and have the worker remove its own."""
+    root, left = folder.resolve(), MADE_BYTES
+    for name, size, digest in answer["files"]:
+        path, left = (root / name).resolve(), left - size
+        if not path.is_relative_to(root) or left < 0:
+            raise TaskRefused(f"a worker made `{name}` of {size:,} bytes, which does not fit in `{folder}`")
+        make_folder(path.parent)
+        hashed = hashlib.blake2b(digest_size=16)
+        with atomic_file(path) as file:
+            for data in engine.fetch(answer["worker"], f"{answer['made']}/{name}", size):
+                hashed.update(data)
+                file.write(data)
+            if hashed.hexdigest() != digest:
+                raise WorkersLost(f"`{name}` changed during the transfer")
+    engine.forget(answer["worker"], answer["made"])
+
+
+def perform(work: Work, text: str, worker: Worker, say_frame: Callable[[int], None] = lambda frame: None) -> str:
+    """Do a task where it runs: JSON in, JSON out. `say_frame` is called from time to time with the current frame."""
+    said = time.monotonic()
+
+    def report_frame(frame: int) -> None:
+        nonlocal said
+        if time.monotonic() - said > LOOK:
+            said = time.monotonic()
+            say_frame(frame)
+
+    worker.report_frame = report_frame
     worker.notes.clear()
     answer = work(json.loads(text), worker)
     text = json.dumps({"answer": answer, "notes": worker.notes})
     if len(text) > ANSWER_BYTES:
         raise TaskRefused(f"its result has {len(text):,} bytes, and more than {ANSWER_BYTES:,} are not sent")
     return text
+
+
+@contextmanager
+def refuse_task(*kinds: type[Exception]) -> Iterator[None]:
+    """Turn exceptions of these kinds into TaskRefused with the same message."""
+    try:
+        yield
+    except kinds as why:
+        raise TaskRefused(str(why)) from None
+
+
+def document_digest(document: Mapping[str, Any]) -> str:
+    """Return a hash of JSON values, for the key of a task."""
+    return hashlib.blake2b(json.dumps(document, sort_keys=True).encode(), digest_size=12).hexdigest()

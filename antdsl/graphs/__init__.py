@@ -28,7 +28,14 @@ def _png(charts: Sequence[Chart]) -> Written:
     from antdsl.graphs.png import png
 
     placed, report = lay_out(charts)
-    return (png(draw(placed)) if report.ok else None), report
+    if not report.ok:
+        return None, report
+    try:
+        return png(draw(placed)), report
+    except ImportError:
+        advice = 'run `pip install "antdsl[graph]"`, or write `--format svg`'
+        report.error("missing-extra", "pictures in PNG need the package resvg_py", None, advice)
+        return None, report
 
 
 def _mermaid(charts: Sequence[Chart]) -> Written:

@@ -1,4 +1,4 @@
-"""Placed charts → shapes: rectangles, lines and words in px, in the order in which they are painted, the same for SVG and PNG."""
+"""Placed charts → shapes: rectangles, lines and words in px, in the order in which they are painted."""
 
 from __future__ import annotations
 

@@ -11,8 +11,6 @@ if TYPE_CHECKING:
 
 # Beyond ASCII Pillow's own letters have no accents, but these.
 _OWN = frozenset("·…°“”")
-# Where the built-in letters end. A search by these names goes through the system's own folders.
-_OTHERS = ("DejaVuSans.ttf", "Arial.ttf", "arial.ttf", "NotoSans-Regular.ttf", "Arial Unicode.ttf")
 
 
 def width(text: str, size: int) -> float:
@@ -20,14 +18,12 @@ def width(text: str, size: int) -> float:
     kind."""
     known = "".join(sign for sign in text if _built_in_has(sign))
     wide = sum(1.0 if east_asian_width(sign) in "WF" else 0.65 for sign in text if not _built_in_has(sign))
-    return round(_built_in_font(size).getlength(known) + wide * size, 2)
+    return round(built_in_font(size).getlength(known) + wide * size, 2)
 
 
-def find_font(text: str, size: int) -> FreeTypeFont:
-    """Return a font that has every character of the text, if this machine has one; Pillow's own font for plain text."""
-    if all(_built_in_has(sign) for sign in text):
-        return _built_in_font(size)
-    return _installed_font(size) or _built_in_font(size)
+def is_built_in(text: str) -> bool:
+    """Return whether Pillow's own font has every character of a text."""
+    return all(_built_in_has(sign) for sign in text)
 
 
 def _built_in_has(sign: str) -> bool:
@@ -35,19 +31,8 @@ def _built_in_has(sign: str) -> bool:
 
 
 @lru_cache(maxsize=32)
-def _built_in_font(size: int) -> FreeTypeFont:
+def built_in_font(size: int) -> FreeTypeFont:
+    """Return Pillow's own font, of a size in px."""
     from PIL import ImageFont
 
     return ImageFont.load_default(size)  # type: ignore[return-value]
-
-
-@lru_cache(maxsize=32)
-def _installed_font(size: int) -> FreeTypeFont | None:
-    from PIL import ImageFont
-
-    for name in _OTHERS:
-        try:
-            return ImageFont.truetype(name, size)
-        except OSError:
-            continue
-    return None

@@ -8,12 +8,12 @@ from antdsl.graphs.drawing import Drawing, Line, Rectangle, Shape, Words, hex_co
 from antdsl.graphs.model import RGB
 
 
-def svg(drawing: Drawing) -> str:
-    """The whole file. The same drawing gives the same text."""
+def svg(drawing: Drawing, fonts: str = "Helvetica, Arial, sans-serif") -> str:
+    """Return the text of a file. `fonts`: the families of its letters. The same drawing gives the same text."""
     wide, high = _number(drawing.width), _number(drawing.height)
     lines = [
         f'<svg xmlns="http://www.w3.org/2000/svg" width="{wide}" height="{high}" viewBox="0 0 {wide} {high}"'
-        ' font-family="Helvetica, Arial, sans-serif">',
+        f' font-family="{fonts}">',
         f'<rect width="{wide}" height="{high}" fill="#ffffff"/>',
         *(_shape(shape) for shape in drawing.shapes),
         "</svg>",

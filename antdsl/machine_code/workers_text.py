@@ -13,7 +13,7 @@ from __future__ import annotations
 from functools import cache
 
 from antdsl.machine_code import machine
-from antdsl.machine_code.kernels.direct_text import PARTS, RESULTS, RESULTS_WORD, WORDS
+from antdsl.machine_code.kernels.direct.argument_text import PARTS, RESULTS, RESULTS_WORD, WORDS
 from antdsl.machine_code.library import library_text, read_language
 
 LINE = 8  # words of a cache line: values that several threads write to have separate lines

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code import machine
 from antdsl.machine_code.entries import inner_text
 from antdsl.machine_code.kernels.direct import ArgumentSpec, make_builtin
-from antdsl.machine_code.kernels.direct_text import INTEGER, RESULTS
+from antdsl.machine_code.kernels.direct.argument_text import INTEGER, RESULTS
 from antdsl.machine_code.library import library_text
 from antdsl.machine_code.memory import address
 from antdsl.machine_code.module import Module

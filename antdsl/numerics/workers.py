@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code import machine
 from antdsl.machine_code import workers_text as words
 from antdsl.machine_code.kernels import direct
-from antdsl.machine_code.kernels.direct_text import PARTS
+from antdsl.machine_code.kernels.direct.argument_text import PARTS
 from antdsl.machine_code.memory import address
 from antdsl.numerics.float_environment import set_standard
 from antdsl.numerics.host import EACH

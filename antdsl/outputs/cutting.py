@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, SIDE
 from antdsl.outputs.pictures.model import Picture, Solid
+from antdsl.scene.quantities import QuantityError, parse_number
 
 _SECTION = (0.33, 0.24, 0.17)  # display values of cut soil
-_WRITTEN = re.compile(r"\s*([xyz])\s*([<>])\s*(-?[0-9]+(?:\.[0-9]+)?)\s*")
+_PLANE = re.compile(r"\s*([xyz])\s*([<>])(.*)", re.DOTALL)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +29,11 @@ class Cut:
     @staticmethod
     def of(text: str) -> Cut | None:
         """Parse text such as `z > 0`; None for any other text."""
-        match = _WRITTEN.fullmatch(text)
-        return None if match is None else Cut("xyz".index(match[1]), float(match[3]), match[2] == "<")
+        match = _PLANE.fullmatch(text)
+        try:
+            return None if match is None else Cut("xyz".index(match[1]), parse_number(match[3]), match[2] == "<")
+        except QuantityError:
+            return None
 
     def is_cut_away(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which places [n,3] are taken away."""

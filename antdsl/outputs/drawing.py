@@ -11,7 +11,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import blake2b
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,16 +58,6 @@ class DrawRequest:
     blur: float = 0.0
     legend: bool = True
     rest: bool = False
-
-    def document(self) -> dict[str, Any]:
-        """Return the settings as JSON values, for another process."""
-        return asdict(self)
-
-    @classmethod
-    def of(cls, document: Mapping[str, Any]) -> DrawRequest:
-        """What a document tells of."""
-        full = tuple((str(name), float(value)) for name, value in document["full"])
-        return cls(**{**document, "show": tuple(document["show"]), "agents": tuple(document["agents"]), "full": full})
 
     def gallery(self, cache: Cache) -> Gallery:
         """Return the cache's pictures. Raises NoPicture as `Gallery` does."""
@@ -153,7 +142,7 @@ class Stills:
             "antdsl": __version__,
             "manifest": manifest,
             "frames": [len(frames), *frames[:1], *frames[-1:]],
-            "wanted": request.document(),
+            "wanted": asdict(request),
             "together": list(together),
         }
         return cls(folder, request, cache.lines(), json.dumps(inputs, sort_keys=True))

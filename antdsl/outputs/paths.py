@@ -3,7 +3,6 @@ after, for what moves while a shutter is open."""
 
 from __future__ import annotations
 
-import re
 from collections import OrderedDict
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,6 +15,7 @@ from antdsl.numerics.records import join_rows, match_ids, take_rows
 from antdsl.outputs.cache.cache_reader import Cache, CacheError
 from antdsl.outputs.cache.frame_agents import IDENTITY, agent_ids, species_numbers
 from antdsl.outputs.pictures.model import Crowd, Paths
+from antdsl.scene.quantities import QuantityError, parse_number_range
 
 _MOVED = ("position", "orient", "plays", "feet", "driven")
 MOST_SECONDS = 60.0  # of each side of a window
@@ -33,9 +33,11 @@ class Window:
     @staticmethod
     def of(text: str) -> Window | None:
         """Parse text such as `1..2`; None for other text, or for more than MOST_SECONDS."""
-        match = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*\.\.\s*(\d+(?:\.\d+)?)\s*", text)
-        window = None if match is None else Window(float(match[1]), float(match[2]))
-        return None if window is None or max(window.seconds_before, window.seconds_after) > MOST_SECONDS else window
+        try:
+            seconds = parse_number_range(text)
+        except QuantityError:
+            return None
+        return Window(*seconds) if min(seconds) >= 0 and max(seconds) <= MOST_SECONDS else None
 
 
 class Walks:

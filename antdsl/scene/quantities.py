@@ -1,4 +1,5 @@
-"""Numbers with units as in a scene: `50 mm`, `20 %/s`, `12`. They are parsed with the language's own table of units."""
+"""Numbers with units as in a scene: `50 mm`, `20 %/s`, `12`, and ranges of numbers: `-0.25..0.25`, `1001..1240`. Scenes, flags
+and sweeps parse them here, with the language's own table of units."""
 
 from __future__ import annotations
 
@@ -13,6 +14,7 @@ from antdsl.source import Source, Span
 from antdsl.syntax.mistakes.number_slips import WITH_COMMAS, comma_diagnostic
 
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]{1,4})?", re.ASCII)
+_INTEGERS = re.compile(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", re.ASCII)
 
 
 class QuantityError(ValueError):
@@ -62,15 +64,38 @@ def parse_number(text: str) -> float:
     return value
 
 
-def parse_quantity(text: str) -> Quantity:
-    """Return a number with its unit, `30 mm/s`. Raises QuantityError with the reason."""
+def split_quantity(text: str) -> tuple[str, str]:
+    """Return the number of a text such as `30 mm/s`, and the unit behind it, which is not checked. Raises QuantityError with the
+    reason."""
     text = text.strip()
     _refuse_comma(text)
     match = _NUMBER.match(text)
     if not match:
         raise QuantityError("is not a number with a unit")
-    number = parse_number(match[0])
-    unit = text[match.end() :].strip()
+    return match[0], text[match.end() :].strip()
+
+
+def parse_number_range(text: str) -> tuple[float, float]:
+    """Return the numbers of `A..B`. Raises QuantityError with the reason."""
+    first, dots, last = text.partition("..")
+    if not dots:
+        raise QuantityError("is not a range")
+    return parse_number(first), parse_number(last)
+
+
+def parse_integer_range(text: str) -> tuple[int, int]:
+    """Return the whole numbers of `A..B`, or of `A` twice. Raises QuantityError with the reason."""
+    match = _INTEGERS.fullmatch(text.strip())
+    if match is None:
+        raise QuantityError("is not a range of whole numbers")
+    return int(match[1]), int(match[2] or match[1])
+
+
+def parse_quantity(text: str) -> Quantity:
+    """Return a number with its unit, `30 mm/s`. Raises QuantityError with the reason."""
+    text = text.strip()
+    digits, unit = split_quantity(text)
+    number = parse_number(digits)
     if not unit:
         return Quantity(number, Dim(), "", text)
     known = measure(unit)

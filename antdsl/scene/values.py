@@ -16,7 +16,7 @@ from pydantic_core import PydanticCustomError
 from antdsl import limits
 from antdsl.program.model import Dim
 from antdsl.program.tables.units import dimension_words, with_unit
-from antdsl.scene.quantities import Quantity, QuantityError, parse_number, parse_quantity
+from antdsl.scene.quantities import Quantity, QuantityError, parse_integer_range, parse_number, parse_quantity
 
 _NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*", re.ASCII)
 _WORD_CHARACTERS = 1000
@@ -175,13 +175,12 @@ _OTHER_RANGE = re.compile(r"\[?\s*(-?[0-9]{1,9})\s*(?:-|–|—|…|\.{3}|:|,|;|
 
 def parse_frames(text: str) -> FrameRange:
     """Parse `1001..1720` or one frame. Raises QuantityError with the reason."""
-    match = re.fullmatch(r"(-?[0-9]{1,9})(?:\s*\.\.\s*(-?[0-9]{1,9}))?", text.strip(), re.ASCII)
-    if not match:
+    try:
+        first, last = parse_integer_range(text)
+    except QuantityError:
         other = _OTHER_RANGE.fullmatch(text.strip())
         ends = sorted((int(other[1]), int(other[2]))) if other else []
-        raise QuantityError("is not a range of frames", f"write `{ends[0]}..{ends[1]}`" if ends else "")
-    first = int(match[1])
-    last = int(match[2]) if match[2] is not None else first
+        raise QuantityError("is not a range of frames", f"write `{ends[0]}..{ends[1]}`" if ends else "") from None
     if last < first:
         raise QuantityError("ends before it begins")
     if last - first >= limits.FRAMES:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from antdsl.bounded import real_path
-from antdsl.executors import Task, TaskRefused, Worker
+from antdsl.executors import Task, TaskRefused, Worker, document_digest, refuse_task
 from antdsl.outputs.cache.cache_writer import DifferentInputs, ForeignFolder, PathBlocked
 from antdsl.outputs.cache.lock import FolderLocked
 from antdsl.outputs.cache.manifest import relative_path
@@ -21,6 +19,10 @@ from antdsl.scene.values import FrameRange
 from antdsl.shots.placing import Destination
 
 KINDS = ("frames", "checkpoints")  # folders of a cache that have a file a frame
+_REFUSALS = (
+    *(BindError, StartError, ForeignFolder, PathBlocked, DifferentInputs, NothingToResume),
+    *(FolderLocked, LimitStop, FaultStop),
+)
 
 
 def cache_task(shot: Shot, scene: Path, choices: Choices, options: Mapping[str, Any], to: Destination, name: str) -> Task:
@@ -33,15 +35,12 @@ def cache_task(shot: Shot, scene: Path, choices: Choices, options: Mapping[str, 
         "frames": [shot.frames.first, shot.frames.last],
         "seed": choices.seed,
         "set": dict(choices.params),
-        "inputs": _document_digest({**shot.inputs, **start_hash(shot)}),
+        "inputs": document_digest({**shot.inputs, **start_hash(shot)}),
         "options": dict(options),
-        "folder": to.folder,
-        "token": to.token,
         "name": name,
         "way": relative_path(scene, Path(to.folder) / name),
     }
-    key = _document_digest(document)
-    return Task(key, simulate_cache, {**document, "key": key})
+    return to.task(simulate_cache, document)
 
 
 def simulate_cache(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
@@ -53,10 +52,10 @@ def simulate_cache(document: Mapping[str, Any], worker: Worker) -> dict[str, Any
         raise TaskRefused("; ".join(problem.message for problem in report.errors))
     options = dict(document["options"])
     resume, force = options.pop("resume"), options.pop("force")
-    to = Destination(document["folder"], document["token"])
+    to = Destination.of(document)
     place = to.place(worker, document["key"])
-    try:
-        if _document_digest({**shot.inputs, **start_hash(shot)}) != document["inputs"]:
+    with refuse_task(*_REFUSALS):
+        if document_digest({**shot.inputs, **start_hash(shot)}) != document["inputs"]:
             raise TaskRefused("files that the scene reads have changed since the command began")
         recording = begin(shot, place / document["name"], Options(threads=worker.threads, **options), resume=resume, force=force)
         recording.scene_path = document["way"]
@@ -64,10 +63,6 @@ def simulate_cache(document: Mapping[str, Any], worker: Worker) -> dict[str, Any
         for _ in record(recording):
             worker.report_frame(recording.world.frame)
         worker.notes += recording.world.backend.messages()
-    except (BindError, StartError) as why:
-        raise TaskRefused("; ".join(problem.message for problem in why.report.errors)) from None
-    except (ForeignFolder, PathBlocked, DifferentInputs, NothingToResume, FolderLocked, LimitStop, FaultStop) as why:
-        raise TaskRefused(str(why)) from None
     summary = {"frames": document["frames"][1] - document["frames"][0] + 1, "hash": recording.hash}
     return {**to.describe_files(worker, place, document["key"]), **summary}
 
@@ -79,7 +74,3 @@ def remove_other_frames(folder: Path, files: list[Any], name: str) -> None:
         for path in (folder / kind).glob("*.npz"):
             if f"{name}/{kind}/{path.name}" not in current_names:
                 path.unlink()
-
-
-def _document_digest(inputs: Mapping[str, Any]) -> str:
-    return hashlib.blake2b(json.dumps(inputs, sort_keys=True).encode(), digest_size=12).hexdigest()

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from antdsl.executors import Task, TaskRefused, Worker
+from antdsl.executors import Task, TaskRefused, Worker, refuse_task
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.manifest import ManifestError
 from antdsl.outputs.exports import AgentSubset, export_for
@@ -23,28 +21,21 @@ def export_tasks(
     cache: Path, name: str, form: str, ids: frozenset[int] | None, frames: Sequence[int], to: Destination
 ) -> Iterator[Task]:
     """Yield tasks that write all frames to files with names from `name`. `cache`: an absolute path without links."""
-    chosen = None if ids is None else sorted(ids)
-    document = {"cache": str(cache), "name": name, "form": form, "ids": chosen, "folder": to.folder, "token": to.token}
-    head = hashlib.blake2b(json.dumps(document).encode(), digest_size=8).hexdigest()
-    for start in range(0, len(frames), CHUNK):
-        chunk = list(frames[start : start + CHUNK])
-        key = f"{head}-{chunk[0]}-{chunk[-1]}"
-        yield Task(key, export_frames, {**document, "frames": chunk, "key": key})
+    document = {"cache": str(cache), "name": name, "form": form, "ids": None if ids is None else sorted(ids)}
+    return to.frame_tasks(export_frames, document, frames, CHUNK)
 
 
 def export_frames(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
     """Write some frames."""
-    to, name = Destination(document["folder"], document["token"]), document["name"]
+    to, name = Destination.of(document), document["name"]
     export = export_for(Path(name))
-    try:
-        if export is None or document["form"] not in export.each:
-            raise TaskRefused(f"`{name}` has no file for each frame")
+    if export is None or document["form"] not in export.each:
+        raise TaskRefused(f"`{name}` has no file for each frame")
+    with refuse_task(ManifestError, CacheError, NoPicture, NoExport):
         cache = open_cache(worker.local_path(document["cache"]))
         if document["ids"] is not None:
             cache = AgentSubset(cache.folder, cache.manifest, frozenset(document["ids"]))
         place = to.place(worker, document["key"])
         notes = export.forms[document["form"]](Gallery(cache), document["frames"], place / name)
-    except (ManifestError, CacheError, NoPicture, NoExport) as why:
-        raise TaskRefused(str(why)) from None
     worker.notes += notes or ()
     return to.describe_files(worker, place, document["key"])

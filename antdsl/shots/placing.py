@@ -4,26 +4,17 @@ which they are fetched in parts and moved into place when complete."""
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from antdsl.bounded import open_bounded, read_blocks
-from antdsl.executors import Executors, Task, TaskOutcome, TaskRefused, Worker, WorkersLost, run_tasks
+from antdsl.executors import Task, TaskRefused, Worker, document_digest
+from antdsl.executors.tasks import Work
 from antdsl.limits import MADE_BYTES
-from antdsl.whole import atomic_file, make_folder, new_sibling
-
-_TRIES = 3  # number of attempts of a task with files that cannot be fetched
-
-
-class FileFetcher(Protocol):
-    """Where files of a worker can be had."""
-
-    def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]: ...
-
-    def forget(self, worker: str, folder: str) -> None: ...
+from antdsl.whole import new_sibling
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +23,22 @@ class Destination:
 
     folder: str
     token: str
+
+    @classmethod
+    def of(cls, document: Mapping[str, Any]) -> Destination:
+        """Return the destination in the document of a task."""
+        return cls(document["folder"], document["token"])
+
+    def task(self, work: Work, document: Mapping[str, Any]) -> Task:
+        """Return a task that writes to this folder, under a key made of its document."""
+        document = {**document, **asdict(self)}
+        key = document_digest(document)
+        return Task(key, work, {**document, "key": key})
+
+    def frame_tasks(self, work: Work, document: Mapping[str, Any], frames: Sequence[int], chunk: int) -> Iterator[Task]:
+        """Yield tasks that write `chunk` frames each to this folder."""
+        for start in range(0, len(frames), chunk):
+            yield self.task(work, {**document, "frames": list(frames[start : start + chunk])})
 
     def place(self, worker: Worker, key: str) -> Path:
         """Return the folder to which a task writes its files on this machine."""
@@ -42,7 +49,8 @@ class Destination:
         return task_folder
 
     def describe_files(self, worker: Worker, place: Path, key: str) -> dict[str, Any]:
-        """Return the answer of a task after it has written files: what is to be fetched. Raises Refused if it is too large."""
+        """Return the answer of a task after it has written files: which are to be fetched. Raises TaskRefused if they are too
+        large."""
         if place == Path(self.folder):
             return {"worker": "", "made": key, "files": []}
         files = [path for path in sorted(place.rglob("*")) if path.is_file()]
@@ -57,58 +65,12 @@ class Destination:
 
 @contextmanager
 def mark_folder(folder: Path) -> Iterator[Destination]:
-    """A folder that is there, marked meanwhile."""
+    """Yield a folder as a destination; it has a marker file while the context is open."""
     token = new_sibling(folder / "seen")
     try:
         yield Destination(str(folder.resolve()), token.name)
     finally:
         token.unlink(missing_ok=True)
-
-
-def run_and_fetch(
-    tasks: Iterable[Task],
-    executors: Executors,
-    folder: Callable[[Task], Path],
-    report_frame: Callable[[Task, int], None] = lambda task, frame: None,
-    noted: Callable[[str], None] = lambda sentence: None,
-) -> Iterator[TaskOutcome]:
-    """Run tasks with `Destination.made` answers, and yield each once its files are in their folder. A task runs again if its
-    worker is gone before all files are fetched."""
-    again: list[Task] = list(tasks)
-    for attempt in range(_TRIES):
-        waiting, again = again, []
-        for answered in run_tasks(waiting, executors, report_frame, noted):
-            try:
-                if answered.answer is not None and answered.answer["files"]:
-                    _fetch(answered.answer, executors, folder(answered.task))
-            except WorkersLost as why:
-                if attempt == _TRIES - 1:
-                    yield replace(answered, answer=None, problem=str(why))
-                else:
-                    again.append(answered.task)
-                continue
-            except (OSError, TaskRefused) as why:
-                yield replace(answered, answer=None, problem=str(why))
-                continue
-            yield answered
-
-
-def _fetch(answer: dict[str, Any], source: Any, folder: Path) -> None:
-    fetcher: FileFetcher = source
-    root, left = folder.resolve(), MADE_BYTES
-    for name, size, digest in answer["files"]:
-        path, left = (root / name).resolve(), left - size
-        if not path.is_relative_to(root) or left < 0:
-            raise TaskRefused(f"a worker made `{name}` of {size:,} bytes, which does not fit in `{folder}`")
-        make_folder(path.parent)
-        hashed = hashlib.blake2b(digest_size=16)
-        with atomic_file(path) as file:
-            for data in fetcher.fetch(answer["worker"], f"{answer['made']}/{name}", size):
-                hashed.update(data)
-                file.write(data)
-            if hashed.hexdigest() != digest:
-                raise WorkersLost(f"`{name}` changed during the transfer")
-    fetcher.forget(answer["worker"], answer["made"])
 
 
 def _file_digest(path: Path) -> str:

@@ -3,7 +3,7 @@ stored."""
 
 from antdsl.sweep.finished_runs import RunStore
 from antdsl.sweep.jobs import Job, Variation, jobs, make_variations
-from antdsl.sweep.running import Outcome, run_all
+from antdsl.sweep.measuring import Outcome, run_all
 from antdsl.sweep.stopping import JobChooser
 from antdsl.sweep.table import Row, rows
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import floor
@@ -10,9 +9,8 @@ from math import floor
 import numpy as np
 
 from antdsl.diagnostics import Report
-from antdsl.scene.quantities import QuantityError, parse_number
+from antdsl.scene.quantities import QuantityError, parse_number, split_quantity
 
-_END = re.compile(r"\s*([+-]?[0-9.]+(?:[eE][+-]?[0-9]+)?)\s*(.*?)\s*", re.ASCII)
 _DIGITS = 6  # that a value drawn from a range is written with
 
 
@@ -71,23 +69,23 @@ def _parse_levels(name: str, text: str, report: Report) -> Factor | None:
 
 def _parse_range(name: str, text: str, report: Report) -> Factor | None:
     said = f"`--vary {name}={text}`"
-    first, last = (_END.fullmatch(end) for end in (text.split("..") if text.count("..") == 1 else ("", "")))
-    if first is None or last is None or "," in text:
+    try:
+        (first, first_unit), (last, unit) = map(split_quantity, text.split("..") if text.count("..") == 1 else ("", ""))
+    except QuantityError:
         usual = f"write `--vary {name}=30mm..90mm`, or separate values: `--vary {name}=30mm,60mm`"
         report.error("wrong-value", f"{said} is not a range of two numbers", None, usual)
         return None
-    unit = last[2]
-    if first[2] not in ("", unit):
-        better = f"write both ends in one unit: `--vary {name}={first[1]}{first[2]}..90{first[2]}`"
-        report.error("units-differ", f"{said} begins in `{first[2]}` and ends in `{unit or 'no unit'}`", None, better)
+    if first_unit not in ("", unit):
+        better = f"write both ends in one unit: `--vary {name}={first}{first_unit}..90{first_unit}`"
+        report.error("units-differ", f"{said} begins in `{first_unit}` and ends in `{unit or 'no unit'}`", None, better)
         return None
     try:
-        low, high = parse_number(first[1]), parse_number(last[1])
+        low, high = parse_number(first), parse_number(last)
     except QuantityError as why:
         report.error("wrong-value", f"an end of {said} {why}", None, why.help or f"write `--vary {name}=30mm..90mm`")
         return None
     if low >= high:
-        turned = f"write `--vary {name}={last[1]}{unit}..{first[1]}{unit}`" if low > high else "write one value, or a wider range"
+        turned = f"write `--vary {name}={last}{unit}..{first}{unit}`" if low > high else "write one value, or a wider range"
         report.error("empty-range", f"{said} ends before it begins" if low > high else f"{said} has no width", None, turned)
         return None
     return Factor(name, (), low, high, unit)

@@ -9,6 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from pydantic import TypeAdapter
+
 from antdsl.bounded import real_path
 from antdsl.diagnostics import Report
 from antdsl.loading import SharedParsedFiles
@@ -54,15 +56,16 @@ class Job:
 
     @classmethod
     def of(cls, document: Mapping[str, Any]) -> Job:
-        """The job that a document tells of."""
-        pairs = {name: tuple((str(a), str(b)) for a, b in document[name]) for name in ("params", "grants")}
-        first, last = document["frames"]
-        return cls(**{**document, **pairs, "frames": (int(first), int(last)), "until": tuple(document["until"])})
+        """Return the job of a document."""
+        return _JOBS.validate_python(document)
 
     def choices(self) -> Choices:
         """What opens the scene as this run has it."""
         grants = {name: Path(folder) for name, folder in self.grants}
         return Choices(grants, FrameRange(*self.frames), self.seed, dict(self.params))
+
+
+_JOBS = TypeAdapter(Job)
 
 
 def make_variations(scenes: Iterable[Path], points: Iterable[Mapping[str, str]]) -> list[Variation]:

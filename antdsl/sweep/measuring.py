@@ -1,49 +1,79 @@
-"""One run of a sweep, without a cache: everything that `antdsl run --summary` reports, and the frame at which each amount ran
-out."""
+"""Runs the jobs of a sweep as tasks, without caches: everything that `antdsl run --summary` reports, and the frame at which each
+amount ran out. A run that fails, or crashes its process, is reported, and the others continue. The distribution over processes
+changes no result."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from antdsl import __version__
+from antdsl.executors import Engine, Task, TaskRefused, Worker, refuse_task, run_tasks
 from antdsl.numerics.host import processor_name
 from antdsl.outputs.recording import Recording
-from antdsl.outputs.starting import start_from_cache
+from antdsl.outputs.starting import StartError, start_from_cache
 from antdsl.outputs.summary import summary
 from antdsl.outputs.surface_error import surface_error
 from antdsl.pipeline import open_scene
-from antdsl.runtime import BindingCache, Options, World, bind, state_hash, step
+from antdsl.runtime import BindError, BindingCache, FaultStop, Options, World, bind, state_hash, step
 from antdsl.source_hash import sources
 from antdsl.sweep.jobs import Job, is_match, job_key, start_hashes
 
 
-class UnusableScene(Exception):
-    """The scene can no longer be opened; the message says why."""
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """The outcome of a job: measures, or an error message."""
+
+    job: Job
+    measures: dict[str, Any] | None
+    problem: str = ""
 
 
-def measure(
-    job: Job,
-    threads: int,
-    built: BindingCache,
-    report_frame: Callable[[int], None],
+def run_all(
+    jobs: Iterable[Job],
+    engine: Engine,
+    report_frame: Callable[[Job, int], None] = lambda job, frame: None,
     noted: Callable[[str], None] = lambda sentence: None,
-) -> dict[str, Any]:
-    """Simulate a run and return its measures by name: numbers, or None for what did not happen. `report_frame` is called for each
-    frame, `noted` at the end with what differed from the request. `built` stores data that earlier runs made from meshes.
+) -> Iterator[Outcome]:
+    """Run jobs and yield each outcome when it arrives; `jobs` is read one at a time, when there is capacity for another.
+    `report_frame` reports the progress of a run from time to time. `noted` reports what differed from the request, a sentence for
+    each run and cause."""
+    tasks = (Task(job.key, measure, job.document()) for job in jobs)
+    for outcome in run_tasks(tasks, engine, lambda task, frame: report_frame(Job.of(task.document), frame), noted):
+        for sentence in outcome.notes:
+            noted(sentence)
+        yield Outcome(Job.of(outcome.task.document), outcome.answer, outcome.problem)
+
+
+def measure(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:
+    """Simulate the run of a job and return its measures by name: numbers, or None for what did not happen. Data that a run makes
+    from meshes stays in the process for the next run.
 
     Everything but `seconds`, `fps` and `processor` is equal for the same job and antdsl."""
+    built: BindingCache = worker.cached_values.setdefault("built", BindingCache())
+    job = Job.of(document)
+    grants = tuple((name, str(worker.local_path(folder))) for name, folder in job.grants)
+    job = replace(job, scene=str(worker.local_path(job.scene)), grants=grants)
+    try:
+        with refuse_task(BindError, StartError, FaultStop):
+            return _measure(job, worker, built)
+    finally:
+        built.drop_unused()
+
+
+def _measure(job: Job, worker: Worker, built: BindingCache) -> dict[str, Any]:
     shot, report = open_scene(Path(job.scene), job.choices())
     if shot is None or not report.ok:
-        raise UnusableScene("; ".join(problem.message for problem in report.errors))
+        raise TaskRefused("; ".join(problem.message for problem in report.errors))
     if job_key(shot, job.seed, job.until, start_hashes(shot)) != job.key:
-        raise UnusableScene(
+        raise TaskRefused(
             "files that the scene reads have changed since the sweep began; the same command begins with them as they are"
         )
     began = time.perf_counter()
-    world = bind(shot.plan, shot.setting, Options(threads=threads), built=built)
+    world = bind(shot.plan, shot.setting, Options(threads=worker.threads), built=built)
     recording = Recording(shot, Path(), world, shot.inputs)
     start_from_cache(shot, world)
     for _ in range(shot.scene.model.preroll):
@@ -57,9 +87,8 @@ def measure(
         _record_empty(world, empty)
         worst = max(worst, surface_error(world))
         recording.steps += 1
-        report_frame(world.frame)
-    for sentence in world.backend.messages():
-        noted(sentence)
+        worker.report_frame(world.frame)
+    worker.notes += world.backend.messages()
     recording.frame, recording.surface_error = world.frame, worst
     recording.hash = state_hash(world)
     recording.add_time("step", began)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any
 
@@ -18,21 +18,21 @@ if TYPE_CHECKING:
     from antdsl.sweep.stopping import KnownMedian
 
 Result = tuple[Job, Mapping[str, Any]]
-_HEAD = ("label", "measure", "runs", "happened", "median", "lower_quartile", "upper_quartile", "least", "most")
 NOT_COMPARED = ("seconds", "fps")  # say something about the machine
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One measure of one variation. What did not happen counts as later than everything: a quantile there is infinite."""
+    """One measure of one variation. What did not happen counts as later than everything: a quantile there is infinite. The fields
+    are the columns of files."""
 
     label: str
     measure: str
     runs: int
     happened: int
     median: float
-    lower: float
-    upper: float
+    lower_quartile: float
+    upper_quartile: float
     least: float
     most: float
 
@@ -93,7 +93,7 @@ def text(table: Sequence[Row], measures: Sequence[str]) -> str:
 def _cell_text(row: Row | None) -> str:
     if row is None:
         return "–"
-    words = f"{_format_number(row.median)} ({_format_number(row.lower)} – {_format_number(row.upper)})"
+    words = f"{_format_number(row.median)} ({_format_number(row.lower_quartile)} – {_format_number(row.upper_quartile)})"
     return words if row.happened == row.runs else f"{words}, {row.happened} of {row.runs}"
 
 
@@ -101,16 +101,11 @@ def _format_number(value: float) -> str:
     return "never" if math.isinf(value) else f"{value:.6g}"
 
 
-def _unless_infinite(value: float) -> float | None:
-    return None if math.isinf(value) else value
-
-
 def as_csv(table: Sequence[Row]) -> str:
     """Return one CSV line per variation and measure; what never happened is empty."""
-    lines: list[list[object]] = [list(_HEAD)]
+    lines: list[list[object]] = [[column.name for column in fields(Row)]]
     for row in table:
-        numbers = [_unless_infinite(v) for v in (row.median, row.lower, row.upper, row.least, row.most)]
-        lines.append([row.label, row.measure, row.runs, row.happened, *("" if n is None else f"{n:.9g}" for n in numbers)])
+        lines.append(["" if v is None else f"{v:.9g}" if isinstance(v, float) else v for v in _finite_entry(row).values()])
     return csv_text(lines)
 
 
@@ -180,30 +175,15 @@ def as_json(
     """Everything, one document."""
     document: dict[str, Any] = {
         "runs": [describe_job(job) | {"measures": dict(measures)} for job, measures in results],
-        "table": [_row_entry(row) for row in table],
+        "table": [_finite_entry(row) for row in table],
     }
     if known:
-        document["medians"] = [
-            asdict(k) | {name: _finite_or_none(getattr(k, name)) for name in ("median", "low", "high")} for k in known
-        ]
+        document["medians"] = [_finite_entry(each) for each in known]
     if effects:
         document["sensitivity"] = [asdict(effect) for effect in effects]
     return json.dumps(document, indent=1) + "\n"
 
 
-def _finite_or_none(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-def _row_entry(row: Row) -> dict[str, Any]:
-    return {
-        "label": row.label,
-        "measure": row.measure,
-        "runs": row.runs,
-        "happened": row.happened,
-        "median": _unless_infinite(row.median),
-        "lower_quartile": _unless_infinite(row.lower),
-        "upper_quartile": _unless_infinite(row.upper),
-        "least": _unless_infinite(row.least),
-        "most": _unless_infinite(row.most),
-    }
+def _finite_entry(of: Row | KnownMedian) -> dict[str, Any]:
+    """Return the fields by name; numbers that are infinite or unknown are None."""
+    return {name: None if isinstance(v, float) and not math.isfinite(v) else v for name, v in asdict(of).items()}

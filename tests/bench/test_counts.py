@@ -15,10 +15,9 @@ from children import child_environment
 from compilers import need_llvmlite
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
-from counts import RECORDED, grown
+from counts import RECORDED, SETTLED, count_step, counts_of, grown
 
 from antdsl.bench.cases import case_of
-from antdsl.bench.counting import SETTLED, count_step, counts_of
 from antdsl.machine_code.kernels import sources
 from antdsl.runtime import Options, World, bind, phases, state_hash, step
 from antdsl.senses.overlaps import fill_worst_overlaps

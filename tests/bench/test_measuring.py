@@ -7,19 +7,20 @@ import json
 import os
 import sys
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from compilers import need_llvmlite, need_numba
+from pydantic import TypeAdapter
 
 from antdsl import resources
 from antdsl.bench import CASES, Job
 from antdsl.bench.cases import CaseError, case_of, open_shot
-from antdsl.bench.costs import BOUND, Measurement, MeasuringError, measure_in_process
-from antdsl.bench.measuring import make_hand_written_frame, measure
+from antdsl.bench.costs import MEASUREMENTS, MeasuringError, measure_in_process
+from antdsl.bench.measuring import measure
 from antdsl.bench.programs import BOIDS, NODE
 from antdsl.bench.tables import (
     COLUMNS,
@@ -28,7 +29,6 @@ from antdsl.bench.tables import (
     compare_backends,
     describe_machine,
     describe_result,
-    from_json,
     list_messages,
     phases,
     ratio_text,
@@ -95,9 +95,9 @@ def test_costs_of_phases_add_up_to_those_of_steps() -> None:
         assert sum(cost.phases_cpu.values()) == pytest.approx(sum(cost.cpu) / 3, rel=0.2)
         assert sum(cost.phases_wall.values()) == pytest.approx(sum(cost.wall) / 3, rel=0.2)
     assert len(measurement.ratios("reference", "numpy")) == 3
-    assert measurement.set_up.total > measurement.set_up.first > 0 and measurement.counts["elements"] > measurement.agents
+    assert measurement.set_up.total > measurement.set_up.first > 0
     assert 100 * 100 < measurement.state < 100 * 1000, "an ant is some hundred bytes"
-    assert Measurement.from_json(measurement.as_json()) == measurement
+    assert MEASUREMENTS.validate_python(asdict(measurement)) == measurement
 
 
 @pytest.mark.slow
@@ -166,7 +166,7 @@ def test_missing_machine_code_is_reported_with_the_times(
     measurement = measure(Job("node", 1, ("native", "numpy"), turns=1, steps=1))
     (line,) = list_messages(Result((measurement,)))
     assert line.startswith("native: NumPy runs instead of machine code") and line.endswith("llvmlite is not there: install it")
-    assert Measurement.from_json(json.loads(json.dumps(measurement.as_json()))) == measurement
+    assert MEASUREMENTS.validate_json(json.dumps(asdict(measurement))) == measurement
     show(Result((measurement,), measurement))
     printed = capsys.readouterr().out.splitlines()
     assert printed[0].startswith("node, 1 agent; ") and printed[1] == line
@@ -178,18 +178,17 @@ def test_words_of_what_was_measured() -> None:
     cost = one.costs["numpy"]
     slower = replace(cost, cpu=[2 * each for each in cost.cpu])
     together = replace(one, job=replace(one.job, backends=("numpy", "other")), costs={"numpy": cost, "other": slower})
-    result = Result((replace(one, costs={"numpy": cost, BOUND: slower}),), together)
+    result = Result((one,), together)
     assert compare_backends(result) == ["other: 2.000 (2.000 to 2.000) of the CPU time of numpy, in turn in one process"]
     (row,) = step_rows(result)
     cells = dict(zip(COLUMNS, row, strict=True))
     assert row[0] == "numpy" and cells["bare step, CPU ms"] == f"{cost.cpu_ms:.2f}"
-    assert cells["of the bound"] == "0.500 (0.500 to 0.500)" and cells["run, CPU ms"] == ""
+    assert cells["run, CPU ms"] == ""
     assert describe_result(result).startswith("node, 60 agents; 500 points")
     columns, rows = phases(result)
     assert columns == ["phase", "numpy: CPU ms", "wall ms"] and {"blend", "move"} <= {each[0] for each in rows}
     assert ratio_text([1.0, 2.0]) == "1.50 (2 turns)"
-    (again,) = from_json(as_json([result]))
-    assert again == result
+    assert [TypeAdapter(Result).validate_python(each) for each in as_json([result])["results"]] == [result]
     assert {"date", "machine", "numpy", "antdsl"} <= set(describe_machine())
 
 
@@ -210,14 +209,32 @@ def test_the_hand_written_frame_does_all_its_work(monkeypatch: pytest.MonkeyPatc
     assert np.abs(ants.y - height).max() < 0.5, "they keep to the ground"
     reach = (np.hypot(ants.x[:, None] - ants.x, ants.z[:, None] - ants.z) < ants.radius).sum(axis=1) - 1
     assert 5 < reach.mean() < 11
-    make_hand_written_frame(50)()
-    assert "bound" in sys.modules
 
 
-def test_without_a_checkout_there_is_no_hand_written_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("antdsl.bench.measuring.benchmark_file", lambda name: None)
-    with pytest.raises(FileNotFoundError, match="checkout"):
-        make_hand_written_frame(10)
+def test_the_hand_written_frame_takes_turns_with_backends(monkeypatch: pytest.MonkeyPatch) -> None:
+    need_numba()
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    beside_bound = importlib.import_module("beside_bound")
+    measurement = beside_bound.measure_beside_bound(Job("node", 50, ("numpy",), turns=2, steps=1))
+    assert list(measurement.costs) == ["numpy", beside_bound.BOUND]
+    assert len(measurement.ratios("numpy", beside_bound.BOUND)) == 2
+
+
+def test_a_process_that_cannot_measure_says_why(tmp_path: Path) -> None:
+    script = tmp_path / "broken.py"
+    script.write_text("raise SystemExit('no such machine')\n", encoding="utf-8")
+    with pytest.raises(MeasuringError, match="no such machine"):
+        measure_in_process(Job("node", 50, ("numpy",)), [sys.executable, str(script)])
+
+
+def test_the_page_is_what_its_measurements_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    page = importlib.import_module("page")
+    measurements = json.loads(page.RESULTS_FILE.read_text(encoding="utf-8"))
+    written: list[str] = []
+    monkeypatch.setattr(Path, "write_text", lambda self, text, **_: written.append(text))
+    page.write(measurements)
+    assert written == [page.PAGE.read_text(encoding="utf-8")]
 
 
 def test_what_the_cases_need_ships() -> None:

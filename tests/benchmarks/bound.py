@@ -1,4 +1,4 @@
-"""A frame of foraging ants as somebody would write it by hand for this alone: the bound that `antdsl bench` tells ratios to.
+"""A frame of foraging ants as somebody would write it by hand for this alone: the bound that `page.py` tells ratios to.
 
 Everything is done for every ant in every frame: three feelers and two surface rays by Embree through Open3D, feelers limited to
 their reach; a cell grid and separation from about eight neighbours; nine cells of a pheromone grid of 1024 by 1024, which spreads

@@ -21,7 +21,7 @@ from antdsl.bench.cases import case_of
 from antdsl.bench.measuring import wait_for_code
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels import calling
-from antdsl.machine_code.kernels.direct_text import REAL
+from antdsl.machine_code.kernels.direct.argument_text import REAL
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.runtime import Options, bind, step
 

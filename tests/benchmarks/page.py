@@ -8,25 +8,26 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from statistics import mean
 from typing import Any
 
 import peers
+from beside_bound import BOUND, measure_beside_bound
+from counts import counts_of
+from page_tables import markdown_table
+from pydantic import TypeAdapter
 
 from antdsl.bench import CASES, Job, measure_in_process
-from antdsl.bench.costs import BOUND
 from antdsl.bench.tables import (
     SET_UP,
     Result,
     as_json,
     backend_of,
     compare_backends,
-    from_json,
     full_run_of,
     list_messages,
-    markdown_table,
     phases,
     ratio_text,
     set_up_of,
@@ -38,6 +39,8 @@ RESULTS_FILE = Path(__file__).with_suffix(".json")
 SLOWEST = "reference"  # measured where few agents make few steps
 BESIDE_SLOWEST = {("foraging", 125), ("node", 500)}
 COMPARED_CASES = ("node", "valley", "valley_of_meshes")
+BOUND_CASES = ("foraging",)  # whose work the hand-written frame does
+MOST_COUNTED = 15_000  # agents of a crowd whose operations are counted
 PHASED = ("foraging", "boids", "tunnel", "anthill")
 Measurements = dict[str, dict[str, Any]]
 
@@ -48,21 +51,34 @@ def measure(name: str, agents: int | None) -> dict[str, Any]:
     fast = [backend for backend in BACKENDS if backend != SLOWEST]
     slow = [SLOWEST] if (name, agents) in BESIDE_SLOWEST else []
     turns, steps = (3, 1) if big else (20, 0)
-    bound, full_run = CASES[name].bound, not big
-    alone = [measure_in_process(Job(name, agents, (each,), turns, steps, 1, bound, full_run)) for each in fast]
-    alone += [measure_in_process(Job(name, agents, (each,), 3, 1, 1, bound)) for each in slow]
+    measure_alone = measure_beside_bound if name in BOUND_CASES else measure_in_process
+    alone = [measure_alone(Job(name, agents, (each,), turns, steps, 1, full_run=not big)) for each in fast]
+    alone += [measure_alone(Job(name, agents, (each,), 3, 1, 1)) for each in slow]
     together = measure_in_process(Job(name, agents, tuple(fast), turns, steps)) if len(fast) > 1 else None
     result = Result(tuple(alone), together)
     if lines := list_messages(result):
         raise SystemExit("\n".join(lines))
-    return as_json([result])
+    is_small = agents is None or agents <= MOST_COUNTED
+    return as_json([result]) | {"operations": count_operations(name, agents) if is_small else None}
+
+
+def count_operations(name: str, agents: int | None) -> int:
+    """The operations of compiled blocks in a step, one for each row."""
+    shot = CASES[name].make(agents)
+    return counts_of(shot.plan, shot.setting)["elements"]
 
 
 def results(measurements: Measurements) -> list[Result]:
     """In the order of the cases and their sizes."""
     order = list(CASES)
-    all_results = [from_json(each)[0] for each in measurements.values()]
+    all_results = [result_of(each) for each in measurements.values()]
     return sorted(all_results, key=lambda each: (order.index(each.alone[0].job.case), each.alone[0].agents))
+
+
+def result_of(measurement: dict[str, Any]) -> Result:
+    """The result that `measure` has written."""
+    (result,) = measurement["results"]
+    return TypeAdapter(Result).validate_python(result)
 
 
 def steps_table(all_results: Iterable[Result]) -> str:
@@ -147,13 +163,13 @@ def comparison_table(all_results: Iterable[Result]) -> str:
     return markdown_table(("case", "agents", "backend", "frames a second", "of a full run", "reported"), rows)
 
 
-def operations_table(all_results: Iterable[Result]) -> str:
-    """Operations per agent."""
+def operations_table(all_results: Iterable[Result], operations: Mapping[tuple[str, int], int]) -> str:
+    """Operations per agent. `operations`: of a step, by case and number of agents."""
     rows = []
     for result in all_results:
         each = result.alone[0]
-        if "elements" in each.counts and each.agents <= 15_000:
-            rows.append([each.job.case, f"{each.agents:,}", f"{each.nodes:,}", f"{each.counts['elements'] / each.agents:,.0f}"])
+        if (count := operations.get((each.job.case, each.agents))) is not None:
+            rows.append([each.job.case, f"{each.agents:,}", f"{each.nodes:,}", f"{count / each.agents:,.0f}"])
     return markdown_table(("case", "agents", "nodes of the plan", "operations per agent and step"), rows)
 
 
@@ -189,6 +205,11 @@ def write(measurements: Measurements) -> None:
     """Put all tables into the page."""
     measured_cases = {name: each for name, each in measurements.items() if name != "peers"}
     all_results = results(measured_cases)
+    operations = {}
+    for each in measured_cases.values():
+        if each["operations"] is not None:
+            first = result_of(each).alone[0]
+            operations[first.job.case, first.agents] = each["operations"]
     text = PAGE.read_text(encoding="utf-8")
     tables = {
         "machine": machines(measurements),
@@ -198,7 +219,7 @@ def write(measurements: Measurements) -> None:
         "set-up": set_up_table(all_results),
         "phases": phase_tables(all_results),
         "reported": comparison_table(all_results),
-        "operations": operations_table(all_results),
+        "operations": operations_table(all_results, operations),
     }
     if "peers" in measurements:
         tables["peers"] = markdown_table(peers.COLUMNS, measurements["peers"]["rows"])

@@ -25,7 +25,9 @@ from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
-from antdsl.bench.tables import describe_machine, markdown_table, ratio_text
+from page_tables import markdown_table
+
+from antdsl.bench.tables import describe_machine, ratio_text
 
 PEERS_FOLDER = Path(__file__).parent / "peers"
 ROOT = Path(__file__).resolve().parents[2]

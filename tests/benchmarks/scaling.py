@@ -17,6 +17,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean, median
 
+from page_tables import markdown_table
+
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "scaling.md"
 SIZES = (1_000, 4_000, 15_000, 40_000, 100_000, 250_000, 1_000_000)
 TEST_SIZES = (40_000, 250_000)  # which the terms are held against
@@ -72,8 +74,6 @@ def predicted(fitted: dict[str, tuple[float, float, float]], agents: int) -> flo
 
 def tables(costs_by_size: dict[int, dict[str, float]]) -> dict[str, str]:
     """The tables of the page by their marks."""
-    from antdsl.bench.tables import markdown_table
-
     fitted = terms(costs_by_size)
     by_phase = [[name, *(f"{costs_by_size[size][name]:#.3g}".rstrip(".") for size in TABLE_SIZES)] for name in (*PHASES, REST)]
     of_terms = [[name, *(f"{each:g}" for each in fitted[name])] for name in fitted]

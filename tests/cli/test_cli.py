@@ -261,7 +261,7 @@ def test_the_set_up_tells_wrong_words_and_what_failed(tmp_path: Path) -> None:
 
 
 def test_the_command_that_goes_on_names_all_that_results_depend_on() -> None:
-    from antdsl.cli.run import _resume_command
+    from antdsl.cli.commands.run import _resume_command
 
     command = _resume_command(Path("a b/scene.yaml"), Path("o"), "1..9", 0, ["x.y=1mm", "x.z=2"], ["lib=d"], Path("t.json"), True)
     words = "--frames 1..9 --seed 0 --set x.y=1mm --set x.z=2 --root lib=d --out o --summary t.json --any-memory --resume"

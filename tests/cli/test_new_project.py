@@ -19,7 +19,7 @@ from children import child_environment
 
 from antdsl import __version__
 from antdsl.cli import COMMANDS
-from antdsl.cli.new import FILES, file_text
+from antdsl.cli.commands.new import FILES, file_text
 
 ROOT = Path(__file__).resolve().parents[2]
 FILE = {name: file_text(name) for name in FILES}

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from commands import run
 
-from antdsl.cli.new import ground
+from antdsl.cli.commands.new import ground
 
 ROOT = Path(__file__).resolve().parents[2]
 

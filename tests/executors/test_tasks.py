@@ -1,9 +1,9 @@
-"""How tasks are handed out: lazily, whom a broken executor is blamed on, what is told of one that fails."""
+"""How tasks are submitted: lazily, which task a broken engine is blamed on, what is reported of one that fails or is lost."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from concurrent.futures import BrokenExecutor, Executor, Future
+from concurrent.futures import BrokenExecutor, Future
 from typing import Any
 
 import pytest
@@ -44,29 +44,28 @@ def test_a_failure_is_reported_and_the_others_go_on() -> None:
 
 
 class Fragile(InThisProcess):
-    """Ends its executor, and all that it runs, as soon as it has one of the tasks that kill; is slow to answer."""
+    """Breaks, with all that it runs, as soon as it has one of the tasks that kill; is slow to answer."""
 
     def __init__(self, count: int, *killers: str) -> None:
         super().__init__(count)
         self.killers, self.pending, self.starts = killers, list[tuple[Future[str], Task]](), 0
 
-    def start(self) -> Executor:
+    def start(self) -> None:
         self.starts += 1
-        return super().start()
 
-    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
+    def submit(self, task: Task) -> Future[str]:
         future: Future[str] = Future()
         self.pending.append((future, task))
         return future
 
-    def frame(self, place: int) -> int | None:
+    def frame(self, future: Future[str]) -> int | None:
         pending, self.pending = self.pending, []
         broken = any(task.key in self.killers for _, task in pending)
         for future, task in pending:
             if broken:
                 future.set_exception(BrokenExecutor())
             else:
-                future.set_result(super().submit(Executor(), task, 0).result())
+                future.set_result(super().submit(task).result())
         return None
 
     def break_reason(self) -> str:
@@ -79,6 +78,29 @@ def test_only_a_task_that_breaks_the_executor_by_itself_is_given_up(monkeypatch:
     ended = {a.task.key: (a.answer, a.problem) for a in run_tasks(tasks(*range(10)), fragile)}
     assert {key for key, (_, problem) in ended.items() if problem} == {"7", "4"} and ended["7"] == (None, "it was ended")
     assert all(ended[str(n)] == ({"n": 2 * n}, "") for n in range(10) if n not in (7, 4))
+
+
+class Forgetful(InThisProcess):
+    """Loses the first submissions of each task."""
+
+    def __init__(self, count: int, losses: int) -> None:
+        super().__init__(count)
+        self.losses = losses
+
+    def submit(self, task: Task) -> Future[str]:
+        future = super().submit(task)
+        if self.tasks.count(task) > self.losses:
+            return future
+        lost_future: Future[str] = Future()
+        lost_future.cancel()
+        lost_future.set_running_or_notify_cancel()
+        return lost_future
+
+
+def test_lost_tasks_run_again_and_have_one_outcome() -> None:
+    engine = Forgetful(2, 2)
+    ended = [a.answer for a in run_tasks(tasks(1, 2, 3), engine)]
+    assert sorted(each["n"] for each in ended if each is not None) == [2, 4, 6] and len(engine.tasks) == 9
 
 
 def large(document: Mapping[str, Any], worker: Worker) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import pytest
 import yaml
 from children import child_environment
 
-from antdsl.farm.shot_job import frame_chunks
+from antdsl.farm import frame_chunks
 from antdsl.outputs.cache.cache_reader import open_cache
 
 ROOT = Path(__file__).resolve().parents[2]

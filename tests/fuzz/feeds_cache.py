@@ -15,8 +15,8 @@ from zlib import crc32
 from cases.hostile.rows import GROUND
 from fuzz.oracle import Feed, Violation
 
+from antdsl.cli.commands.info import _verify_cache, describe_cache
 from antdsl.cli.exits import CommandError
-from antdsl.cli.info import _verify_cache, describe_cache
 from antdsl.outputs.cache.cache_reader import CacheError, open_cache
 from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
 from antdsl.outputs.cache.manifest import ManifestError

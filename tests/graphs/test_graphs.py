@@ -16,10 +16,11 @@ from children import child_environment
 
 from antdsl import graphs, pipeline
 from antdsl.cli import _run as run_in_process
-from antdsl.graphs.drawing import draw
+from antdsl.graphs.drawing import Drawing, Words, draw
 from antdsl.graphs.layout import NAME_SIZE, WORD_SIZE, lay_out
 from antdsl.graphs.letters import width
 from antdsl.graphs.model import Chart, PlacedBox, PlacedChart
+from antdsl.graphs.png import MOST, png
 
 ROOT = Path(__file__).resolve().parents[2]
 FORAGER = ROOT / "examples" / "foraging" / "forager.ant"
@@ -246,7 +247,7 @@ def test_png_shows_the_states_colours(odd: tuple[Chart, ...]) -> None:
     image = Image.open(io.BytesIO(written(odd, "png"))).convert("RGB")
     placed, _ = lay_out(odd)
     drawing = draw(placed)
-    assert image.size == (round(drawing.width * 2), round(drawing.height * 2))
+    assert image.width == round(drawing.width * 2) and abs(image.height - drawing.height * 2) <= 1
     colours = {colour for _, colour in image.getcolors(1 << 24) or []}
     for chart in odd:
         for box in chart.boxes:
@@ -363,19 +364,44 @@ def test_mistakes_end_in_words(
 def test_without_the_extra_pictures_name_it_and_texts_are_written(
     odd: tuple[Chart, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setitem(sys.modules, "resvg_py", None)
+    assert_extra_is_named(odd, "png")
+    assert written(odd, "svg")
     monkeypatch.setitem(sys.modules, "graphlay", None)
     for format in ("svg", "png"):
-        text, report = graphs.write(odd, format)
-        assert text is None and [d.code for d in report.errors] == ["missing-extra"]
-        assert 'pip install "antdsl[graph]"' in report.errors[0].help
+        assert_extra_is_named(odd, format)
     assert written(odd, "mermaid") and written(odd, "dot")
+
+
+def assert_extra_is_named(charts: tuple[Chart, ...], format: str) -> None:
+    text, report = graphs.write(charts, format)
+    assert text is None and [d.code for d in report.errors] == ["missing-extra"]
+    assert 'pip install "antdsl[graph]"' in report.errors[0].help
+
+
+def test_large_pictures_have_fewer_pixels() -> None:
+    from PIL import Image
+
+    image = Image.open(io.BytesIO(png(Drawing(40_000.0, 3_000.0, ()))))
+    assert image.width * image.height <= MOST * 1.01 and image.width // image.height == 13
+
+
+def test_pictures_of_plain_text_do_not_depend_on_the_fonts_of_the_machine(monkeypatch: pytest.MonkeyPatch) -> None:
+    import resvg_py
+
+    calls: list[dict[str, object]] = []
+    monkeypatch.setattr(resvg_py, "svg_to_bytes", lambda **options: calls.append(options) or b"")
+    for text in ("plain", "été"):
+        png(Drawing(10.0, 10.0, (Words(text, (5.0, 5.0), 11, (0.0, 0.0, 0.0), 9.0),)))
+    assert [call["skip_system_fonts"] for call in calls] == [True, False]
+    assert all('font-family="Aileron"' in str(call["svg_string"]) for call in calls)
 
 
 def test_pillows_own_letters_have_what_they_are_taken_for() -> None:
     """A sign that a font does not have is drawn like one that no font has."""
-    from antdsl.graphs.letters import _OWN, _built_in_font
+    from antdsl.graphs.letters import _OWN, built_in_font
 
-    letters = _built_in_font(20)
+    letters = built_in_font(20)
     nothing = bytes(letters.getmask("\uffff"))
     for sign in [*_OWN, *(chr(code) for code in range(33, 127))]:
         assert bytes(letters.getmask(sign)) != nothing, sign

@@ -39,7 +39,9 @@ FORBIDDEN_ATTRIBUTES = frozenset(
     [("np", "load"), ("numpy", "load"), ("yaml", "load"), ("yaml", "unsafe_load"), ("yaml", "full_load"), ("os", "system")]
 )
 FORBIDDEN_NAMES = frozenset(["utils", "util", "helpers", "common", "base", "manager", "misc"])
-HEAVY = frozenset(["open3d", "pxr", "scipy", "skimage", "trimesh", "mapbox_earcut", "PIL", "imageio_ffmpeg", "graphlay"])
+HEAVY = frozenset(
+    ["open3d", "pxr", "scipy", "skimage", "trimesh", "mapbox_earcut", "PIL", "imageio_ffmpeg", "graphlay", "resvg_py"]
+)
 OPEN3D_MODULE = PACKAGE / "casting" / "open3d_module.py"
 
 
@@ -167,7 +169,8 @@ OWN_WRITING = {
     "bootstrap.py": "the stamp of the environment",
     "cli/__init__.py": "the null device",
     "cli/printing/messages.py": "the null device",
-    "executors/parcel.py": "files of a project, in a folder of the worker's own",
+    "executors/input_bundle.py": "files of a project, in a folder of the worker's own",
+    "graphs/png.py": "the font, in a temporary folder",
     "highlighting/textmate.py": "the highlighting that ships",
     "lsp/server.py": "standard output",
     "reader/child.py": "its answers",

@@ -11,8 +11,8 @@ from pathlib import Path
 import pytest
 from children import child_environment
 
-from antdsl.cli.doctor import EXTRAS
-from antdsl.cli.run import choose_threads
+from antdsl.cli.commands.doctor import EXTRAS
+from antdsl.cli.commands.run import choose_threads
 
 ROOT = Path(__file__).resolve().parents[2]
 FOR_DEVELOPERS = {"test", "quality"}
@@ -48,7 +48,7 @@ def test_more_threads_than_cores_are_not_started_and_that_is_reported(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], there: int, asked: int, taken: int, told: str
 ) -> None:
     """Embree's scheduler writes to the terminal where it is asked for more workers than there are cores."""
-    monkeypatch.setattr("antdsl.cli.run.cores", lambda: there)
+    monkeypatch.setattr("antdsl.cli.commands.run.cores", lambda: there)
     assert choose_threads(asked) == taken
     said = capsys.readouterr().err
     assert told in said and bool(said) == bool(told)
@@ -57,6 +57,6 @@ def test_more_threads_than_cores_are_not_started_and_that_is_reported(
 
 def test_every_command_with_threads_takes_no_more_than_there_are_cores() -> None:
     """All go by `choose_threads`."""
-    for path in sorted((ROOT / "antdsl" / "cli").glob("*.py")):
+    for path in sorted((ROOT / "antdsl" / "cli").rglob("*.py")):
         if '"--threads"' in (text := path.read_text(encoding="utf-8")):
             assert "choose_threads(threads" in text and "threads or cores" not in text, path.name

@@ -20,7 +20,7 @@ from compilers import need_llvmlite
 import antdsl
 from antdsl.machine_code import codes, library, machine, object_cache, shipped
 from antdsl.machine_code.build_objects import build
-from antdsl.machine_code.kernels import direct_text
+from antdsl.machine_code.kernels.direct import argument_text
 from antdsl.machine_code.machine import Target
 from antdsl.numerics import row_copies
 from antdsl.numerics.elementary_loops import cosines
@@ -87,7 +87,7 @@ import sys
 from pathlib import Path
 from antdsl.machine_code import shipped
 from antdsl.machine_code.build_objects import build
-from antdsl.machine_code.kernels import direct_text
+from antdsl.machine_code.kernels.direct import argument_text
 from antdsl.numerics import row_copies
 from antdsl.numerics.elementary_loops import cosines
 print(build(Path(sys.argv[1]), [row_copies.text, cosines], reversed(list(shipped.TARGETS))))
@@ -115,7 +115,7 @@ def test_code_of_the_installation_is_used_before_any_is_compiled(
 ) -> None:
     (tmp_path / "user").mkdir(mode=0o700)
     monkeypatch.setenv(object_cache.VARIABLE, str(tmp_path / "user"))
-    build(folder, [*ENTRIES, direct_text.text], [own()])  # type: ignore[list-item]
+    build(folder, [*ENTRIES, argument_text.text], [own()])  # type: ignore[list-item]
     compiled.clear()
     kernel = type(cosines)(cosines.part.function)
     codes.forget()

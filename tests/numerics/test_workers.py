@@ -19,7 +19,7 @@ from children import child_environment
 
 from antdsl.machine_code import workers_text
 from antdsl.machine_code.kernels import F64, I64, Array1, independent, kernel
-from antdsl.machine_code.kernels.direct_text import PARTS
+from antdsl.machine_code.kernels.direct.argument_text import PARTS
 from antdsl.numerics import parallel, workers
 from antdsl.numerics.parallel import buffer_index
 

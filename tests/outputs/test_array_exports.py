@@ -141,7 +141,7 @@ def test_points_for_houdini(up: str, tmp_path: Path, request: pytest.FixtureRequ
 
 def test_a_machine_over_another_takes_what_it_weighs() -> None:
     from antdsl.bodies.agents.machine_clips import MachineClips
-    from antdsl.outputs.geo_export import _slots
+    from antdsl.outputs.exports.geo_export import _slots
 
     def machine(weight: float) -> MachineClips:
         one, none = np.ones(1, np.float32), np.zeros(1, np.float32)

@@ -27,8 +27,8 @@ from typer.testing import CliRunner
 
 from antdsl.cli import _run as run_in_process
 from antdsl.cli import app
+from antdsl.cli.commands.new import ground
 from antdsl.cli.exits import CommandError
-from antdsl.cli.new import ground
 from antdsl.outputs.cache.cache_reader import SURFACE_ERROR, CacheError, checkpoint_path, frame_path, open_cache
 from antdsl.outputs.cache.cache_writer import ForeignFolder, prepare_folder
 from antdsl.outputs.cache.hashes import HASHES, read_lines

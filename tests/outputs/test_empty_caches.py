@@ -17,7 +17,7 @@ from commands import run
 from empty_scenes import CASES, FIRST, LAST
 from sampling import sampled
 
-from antdsl.cli.render import View
+from antdsl.cli.commands.render import View
 from antdsl.outputs.cache.cache_reader import Cache, open_cache
 from antdsl.outputs.drawing import Drawer, DrawRequest, NoAgent
 from antdsl.outputs.exports import EXPORTS, export_for

@@ -71,7 +71,7 @@ def test_frames_say_what_each_machine_plays(cache: Cache) -> None:
 
 
 def test_what_is_in_a_cache_says_the_body_and_the_clips(cache: Cache) -> None:
-    from antdsl.cli.info import describe_cache
+    from antdsl.cli.commands.info import describe_cache
 
     lines = describe_cache(cache)
     assert "clips        walker: walk, run, idle, wave on arms" in lines and "body         walker: walker.json" in lines

@@ -11,7 +11,7 @@ from meaning import FAST, OPTION_SETS, RunHistory, crowd, play
 from test_program import checked
 from test_specs import GROUND
 
-from antdsl.cli.new import FILES, file_text, ground
+from antdsl.cli.commands.new import FILES, file_text, ground
 from antdsl.explain import CacheHistory, Replay, explain, explain_agents, open_shot, tell
 from antdsl.pipeline import open_scene
 from antdsl.plan.lowering.source_map import RESTS

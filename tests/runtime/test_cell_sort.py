@@ -13,7 +13,7 @@ from antdsl.bench.cases import case_of
 from antdsl.machine_code import machine
 from antdsl.numerics import parallel
 from antdsl.runtime import Options, bind
-from antdsl.runtime.backends.native import grids
+from antdsl.runtime.backends.native.search import grids
 from antdsl.runtime.world import AXES
 from antdsl.senses import cell_order
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from antdsl.cli.new import ground
+from antdsl.cli.commands.new import ground
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.gallery import Gallery

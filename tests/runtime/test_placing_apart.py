@@ -16,7 +16,7 @@ from test_scene_files import PROGRAM as ANT
 from test_scene_files import folder  # noqa: F401
 
 from antdsl import passes, plan
-from antdsl.cli.new import ground
+from antdsl.cli.commands.new import ground
 from antdsl.ground.protocol import Footing
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.reload import take_over

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from children import child_environment
 
-from antdsl.cli.new import ground
+from antdsl.cli.commands.new import ground
 from antdsl.diagnostics import Report
 from antdsl.pipeline import Choices, Shot, open_scene
 from antdsl.scene import PathRefused, Roots

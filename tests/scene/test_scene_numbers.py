@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import antdsl.scene.model  # noqa: F401 - defines the parts
-from antdsl.cli.new import ground
+from antdsl.cli.commands.new import ground
 from antdsl.pipeline import open_scene
 from antdsl.runtime import BindError, FaultStop, LimitStop, Options, bind, step
 from antdsl.scene.load import load

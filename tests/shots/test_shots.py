@@ -4,23 +4,23 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from concurrent.futures import Executor, Future
+from concurrent.futures import Future
 from pathlib import Path
 
 import commands
 import pytest
 from executed import InThisProcess
 
-from antdsl.executors import Task, TaskRefused, Worker, WorkersLost
-from antdsl.executors.parcel import FileBundle, VisibleFile, pack, unpacked_path
+from antdsl.executors import Task, TaskRefused, Worker, WorkersLost, run_tasks
+from antdsl.executors.input_bundle import FileBundle, VisibleFile, digest_files, pack, unpacked_path
 from antdsl.outputs.cache.cache_reader import open_cache
 from antdsl.outputs.drawing import Drawer, DrawRequest, Stills
 from antdsl.pipeline import Choices, open_scene
 from antdsl.scene.paths import record_sought
 from antdsl.scene.values import FrameRange
-from antdsl.shots import exports, placing, stills
+from antdsl.shots import exports, stills
 from antdsl.shots.caches import cache_task, remove_other_frames
-from antdsl.shots.placing import Destination, mark_folder, run_and_fetch
+from antdsl.shots.placing import Destination, mark_folder
 
 OPTIONS = {"backend": "numpy", "chunk": 16_384, "shuffle_rows": None, "on_fault": "stop", "resume": False, "force": False}
 
@@ -32,12 +32,12 @@ class Afar(InThisProcess):
         super().__init__()
         self.lost, self.made = lost, folder / "made"
         bundle.unpack(folder / "files")
-        self.made.mkdir()
+        self.made.mkdir(parents=True)
         self._worker = Worker(1, local_path=lambda path: unpacked_path(folder / "files", path), scratch=self.made, name="afar")
 
-    def submit(self, executor: Executor, task: Task, place: int) -> Future[str]:
+    def submit(self, task: Task) -> Future[str]:
         document = {**task.document, "token": "nobody sees this"}
-        return super().submit(executor, Task(task.key, task.work, document), place)
+        return super().submit(Task(task.key, task.work, document))
 
     def fetch(self, worker: str, file: str, size: int) -> Iterator[bytes]:
         if self.lost:
@@ -74,7 +74,9 @@ def test_a_shot_on_another_machine_is_the_same_cache_and_nothing_of_an_earlier_o
     (remote_folder / "walk" / "frames").mkdir(parents=True)
     (remote_folder / "walk" / "frames" / "frame.0009.npz").write_bytes(b"of an earlier run")
     with mark_folder(remote_folder) as to:
-        (answered,) = run_and_fetch([cache_task(shot, scene, choices, OPTIONS, to, "walk")], afar, lambda task: remote_folder)
+        (answered,) = run_tasks(
+            [cache_task(shot, scene, choices, OPTIONS, to, "walk")], afar, folder_of=lambda task: remote_folder
+        )
     assert answered.answer is not None and len(afar.tasks) == 2, "done again, since its files could not be had"
     remove_other_frames(remote_folder / "walk", answered.answer["files"], "walk")
     assert files(remote_folder) == {name: data for name, data in files(walkers / "here").items()}
@@ -88,15 +90,24 @@ def test_files_that_have_changed_are_reported_and_nothing_is_mixed(walkers: Path
         shot_task = cache_task(shot, scene, Choices(), OPTIONS, to, "walk")
         program = walkers / "walkers" / "walker.ant"
         program.write_text(program.read_text(encoding="utf-8") + "\n# another\n", encoding="utf-8")
-        (answered,) = run_and_fetch([shot_task], InThisProcess(), lambda task: walkers)
+        (answered,) = run_tasks([shot_task], InThisProcess())
     assert answered.answer is None and "have changed" in answered.problem and not (walkers / "walk").exists()
 
 
 @pytest.mark.parametrize("name", ["../out.png", "/tmp/out.png"])
 def test_a_worker_cannot_put_a_file_anywhere_else(tmp_path: Path, name: str) -> None:
     answer = {"files": [[name, 3, "0"]], "worker": "w", "made": "m"}
-    with pytest.raises(TaskRefused):
-        placing._fetch(answer, None, tmp_path)
+    (outcome,) = run_tasks([Task("k", lambda document, worker: answer, {})], InThisProcess(), folder_of=lambda task: tmp_path)
+    assert outcome.answer is None and "does not fit" in outcome.problem and not list(tmp_path.iterdir())
+
+
+def test_a_task_with_files_that_cannot_be_fetched_is_given_up(tmp_path: Path) -> None:
+    (tmp_path / "there").mkdir()
+    afar = Afar(pack([]), tmp_path / "afar", lost=9)
+    answer = {"files": [["a", 3, "0"]], "worker": "afar", "made": "m"}
+    task = Task("k", lambda document, worker: answer, {})
+    (outcome,) = run_tasks([task], afar, folder_of=lambda task: tmp_path / "there")
+    assert (outcome.answer, outcome.problem, len(afar.tasks)) == (None, "it is gone", 3)
 
 
 def test_stills_of_another_machine_are_those_of_this_one(walkers: Path) -> None:
@@ -109,7 +120,7 @@ def test_stills_of_another_machine_are_those_of_this_one(walkers: Path) -> None:
     with mark_folder(remote_folder) as to:
         jobs = list(stills.still_tasks(cache, still_options, range(1, 7), range(1, 7), to))
         assert [job.document["frames"] for job in jobs] == [[1, 2, 3, 4], [5, 6]]
-        assert all(answered.answer is not None for answered in run_and_fetch(jobs, afar, lambda task: remote_folder))
+        assert all(answered.answer is not None for answered in run_tasks(jobs, afar, folder_of=lambda task: remote_folder))
     drawer = Drawer(still_options.gallery(open_cache(cache)), still_options, range(1, 7), 1)
     local_folder = walkers / "here"
     local_folder.mkdir()
@@ -131,7 +142,7 @@ def test_exports_of_another_machine_are_those_of_this_one(walkers: Path) -> None
     remote_folder.mkdir()
     with mark_folder(remote_folder) as to:
         jobs = exports.export_tasks(cache, "w.geo", "points", frozenset(range(3, 10)), range(1, 11), to)
-        assert all(answered.answer is not None for answered in run_and_fetch(jobs, afar, lambda task: remote_folder))
+        assert all(answered.answer is not None for answered in run_tasks(jobs, afar, folder_of=lambda task: remote_folder))
     assert files(remote_folder) == files(walkers / "here") and len(files(remote_folder)) == 10
 
 
@@ -142,11 +153,10 @@ def test_a_bundle_is_known_by_its_hash_and_stays_in_its_folder(tmp_path: Path) -
     bundle.unpack(tmp_path / "to")
     assert unpacked_path(tmp_path / "to", str(tmp_path / "a" / "x.txt")).read_bytes() == b"one"
     with pytest.raises(TaskRefused, match="did not arrive"):
-        FileBundle(bundle.data[:-1] + b"x", bundle.digest).unpack(tmp_path / "other")
-    from antdsl.executors.parcel import _pack_files
-
+        FileBundle(dict.fromkeys(bundle.files, b"two"), bundle.digest).unpack(tmp_path / "other")
+    outside = {"../x": b"1"}
     with pytest.raises(TaskRefused, match="outside"):
-        _pack_files({"../x": b"1"}).unpack(tmp_path / "third")
+        FileBundle(outside, digest_files(outside)).unpack(tmp_path / "third")
     visible_file = VisibleFile.of(tmp_path / "a" / "x.txt")
     assert visible_file.is_visible() and os.path.isabs(visible_file.path)
     (tmp_path / "a" / "x.txt").write_bytes(b"two")

@@ -16,9 +16,8 @@ from pathlib import Path
 import pytest
 
 from antdsl.cli import _run as run_in_process
-from antdsl.executors import Processes
+from antdsl.executors import Processes, Worker
 from antdsl.pipeline import open_scene
-from antdsl.runtime import BindingCache
 from antdsl.sweep import Job, RunStore, Variation, jobs, make_variations, rows, run_all
 from antdsl.sweep.designs import choose_design
 from antdsl.sweep.factors import Factor
@@ -111,7 +110,7 @@ def test_processes_change_no_result_and_a_run_that_fails_stops_no_other(folder: 
     outcomes = {outcome.job.key: outcome for outcome in run_all([missing_job, *good], Processes(2, 1))}
     assert outcomes["0"].measures is None and "there is no file" in outcomes["0"].problem
     for job in good:
-        assert same(outcomes[job.key].measures) == same(measure(job, 3, BindingCache(), lambda frame: None))
+        assert same(outcomes[job.key].measures) == same(measure(job.document(), Worker(3)))
     measures = outcomes[good[0].key].measures
     assert measures is not None and measures["frames"] == measures["empty.food.apple.load"] < 30, "ended once it was empty"
     assert measures["empty.food.far.load"] is None and measures["left.food.far.load"] == 3

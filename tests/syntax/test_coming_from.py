@@ -8,7 +8,7 @@ from pathlib import Path
 import commands
 import pytest
 
-from antdsl.cli.new import ground
+from antdsl.cli.commands.new import ground
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "coming_from.md").read_text(encoding="utf-8")

@@ -14,7 +14,7 @@ from typing import Any
 from antdsl.machine_code import machine, workers_text
 from antdsl.machine_code.kernels import direct
 from antdsl.machine_code.kernels.direct import ArgumentSpec
-from antdsl.machine_code.kernels.direct_text import INTEGER, REAL, RESULTS, TRUTH, UNSIGNED
+from antdsl.machine_code.kernels.direct.argument_text import INTEGER, REAL, RESULTS, TRUTH, UNSIGNED
 from antdsl.machine_code.kernels.types import INT, ArrayType, Scalar
 from antdsl.machine_code.memory import address
 

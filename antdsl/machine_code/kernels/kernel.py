@@ -18,9 +18,9 @@ from antdsl.machine_code.entries import inner_text
 from antdsl.machine_code.kernels import sources
 from antdsl.machine_code.kernels.calling import KernelDescription, caller, parallel_caller
 from antdsl.machine_code.kernels.checks import CHECKED, Checks, guard_call
-from antdsl.machine_code.kernels.direct_text import RESULTS
+from antdsl.machine_code.kernels.checks.line_tables import LineTables
+from antdsl.machine_code.kernels.direct.argument_text import RESULTS
 from antdsl.machine_code.kernels.ir import Function, verify
-from antdsl.machine_code.kernels.line_tables import LineTables
 from antdsl.machine_code.kernels.records import rebuild_like, resolve_annotation
 from antdsl.machine_code.kernels.rendering import render_functions
 from antdsl.machine_code.kernels.side_by_side import write_function

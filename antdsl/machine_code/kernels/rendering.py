@@ -7,8 +7,8 @@ from functools import cache
 from typing import Any
 
 from antdsl.machine_code.kernels.checks import Checks
+from antdsl.machine_code.kernels.checks.line_tables import LineTables
 from antdsl.machine_code.kernels.ir import CHECKS, LANES_OF, MOST, ORDERS, ZEROS, Function, Instruction, split_type
-from antdsl.machine_code.kernels.line_tables import LineTables
 from antdsl.machine_code.kernels.operations import OPS
 from antdsl.machine_code.kernels.values import Number
 from antdsl.machine_code.kinds import WIDTH

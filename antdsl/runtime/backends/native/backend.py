@@ -14,11 +14,11 @@ from antdsl.plan import ir
 from antdsl.plan.traverse import required_nodes
 from antdsl.runtime.backends.native import listing
 from antdsl.runtime.backends.native.block import NeighbourSearch
-from antdsl.runtime.backends.native.grids import Arrays, SearchGrids
 from antdsl.runtime.backends.native.programs import WorldFacts, program
 from antdsl.runtime.backends.native.ready import CodeUnavailable, ReadyCode, find, find_ready, start_building
 from antdsl.runtime.backends.native.rooms import PaddedArrays
 from antdsl.runtime.backends.native.runner import Block
+from antdsl.runtime.backends.native.search.grids import Arrays, SearchGrids
 from antdsl.runtime.backends.numpy_backend import NumpyBackend
 from antdsl.runtime.backends.reference import AgentRun
 from antdsl.runtime.requests import Effects

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +14,7 @@ from antdsl.cli.destinations import default_path, protect_inputs, require_writab
 from antdsl.cli.exits import CommandError, ExitCode, report_failures
 from antdsl.cli.memory_demand import ANY_MEMORY, require_memory
 from antdsl.cli.printing.messages import note_output, print_note
-from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, open_cluster, raise_on_sigterm, require_scheduler, stop_exit_code
+from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, open_engine, raise_on_sigterm, require_scheduler, stop_exit_code
 from antdsl.whole import write_atomically
 
 if TYPE_CHECKING:
@@ -101,7 +101,7 @@ def sweep(
     from antdsl.cli.arguments import require_scene
     from antdsl.cli.printing.reports import exit_on_errors
     from antdsl.cli.sweep_words import build_study, load_request, nothing, open_scene_shots, parse_widths
-    from antdsl.executors import Processes, WorkersLost
+    from antdsl.executors import WorkersLost
     from antdsl.numerics.host import cores
     from antdsl.scene.paths import record_sought
     from antdsl.sweep import JobChooser, RunStore, run_all
@@ -165,14 +165,10 @@ def sweep(
         require_memory(open_scene_shots(study, request), processes, len(runs))
     failed: list[Outcome] = []
     files = [path for path in read if path.is_file()]
-    where = (
-        open_cluster(scheduler, tls, no_tls, processes, threads, files)
-        if scheduler
-        else nullcontext(Processes(processes, threads))
-    )
+    where = open_engine((scheduler, tls, no_tls), processes, threads, files)
     try:
-        with raise_on_sigterm(), where as executors, _show_progress(todo, quiet, bool(request.until_known)) as watch:
-            for outcome in run_all(chooser.needed_jobs(), executors, watch.frame, watch.show_note):
+        with raise_on_sigterm(), where as engine, _show_progress(todo, quiet, bool(request.until_known)) as watch:
+            for outcome in run_all(chooser.needed_jobs(), engine, watch.frame, watch.show_note):
                 watch.show_finished(outcome)
                 if outcome.measures is None:
                     failed.append(outcome)

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from antdsl.machine_code.memory import address
 from antdsl.numerics import parallel
 from antdsl.numerics.host import EACH
-from antdsl.numerics.row_hash_text import CONTIGUOUS, HALVES, HEAD, NUMBERS, STRIDED, WORDS, text
+from antdsl.numerics.row_hash.loops import CONTIGUOUS, HALVES, HEAD, NUMBERS, STRIDED, WORDS, text
 
 _HALF = 0xFFFFFFFF
 _MASK_64 = 0xFFFFFFFFFFFFFFFF

@@ -10,12 +10,12 @@ import numpy as np
 
 from antdsl.bodies.body import turned
 from antdsl.numerics.records import take_rows
+from antdsl.outputs.exports.mesh_files import Part, write_mesh
+from antdsl.outputs.exports.poses_export import FEWER, NONE, Worn, worn_crowds
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.mesh_files import Part, write_mesh
 from antdsl.outputs.numbered_files import NoExport, numbered_path
 from antdsl.outputs.pictures.light import decode_srgb, encode_srgb
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.poses_export import FEWER, NONE, Worn, worn_crowds
 from antdsl.outputs.usd.values import ROOT, Samples, StageOutput, box, disk_failures, identifier, mesh, root, vectors
 from antdsl.scene.geometry.usd import pxr
 from antdsl.scene.model import UNIT_MM

@@ -22,12 +22,12 @@ from antdsl.plan import ir
 from antdsl.plan.traverse import required_nodes
 from antdsl.runtime.backends.compile import Instruction
 from antdsl.runtime.backends.native.block import BlockWriter, FunctionWriter, NeighbourSearch
-from antdsl.runtime.backends.native.cells import BEYOND, CellRows, append_numbers
-from antdsl.runtime.backends.native.crowds import write_dense_search
 from antdsl.runtime.backends.native.fours import quadruple_address
 from antdsl.runtime.backends.native.layout import KINDS
-from antdsl.runtime.backends.native.near import PLACE, STRIDE, Search, measure_pairs
 from antdsl.runtime.backends.native.schedule import operands_of
+from antdsl.runtime.backends.native.search.cells import BEYOND, CellRows, append_numbers
+from antdsl.runtime.backends.native.search.crowds import write_dense_search
+from antdsl.runtime.backends.native.search.near import PLACE, STRIDE, Search, measure_pairs
 from antdsl.runtime.backends.native.sets import PairValues, accumulate, own_values, reduction_sets
 from antdsl.runtime.backends.native.sums import RunningReduction
 from antdsl.runtime.pairs import count_nearest

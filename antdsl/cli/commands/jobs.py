@@ -98,7 +98,7 @@ def jobs(
 
 def _parse_render_words(text: str) -> tuple[str, ...]:
     """Return the extra arguments of `antdsl render`, after that command has accepted them."""
-    from antdsl.cli.render import render
+    from antdsl.cli.commands.render import render
 
     # typer's versions have click beside them or within
     wrong_use: tuple[type[BaseException], ...] = typer.BadParameter.__bases__
@@ -123,19 +123,17 @@ def _parse_render_words(text: str) -> tuple[str, ...]:
 
 def _require_template(job: Job, every: int, frames: int) -> None:
     """What a template cannot say."""
-    from antdsl.farm.open_job import MOST_TASKS
+    from antdsl.farm import MOST_TASKS
 
     tasks = max(len(step.chunks) for step in job.steps)
     if tasks > MOST_TASKS:
         enough = math.ceil(math.ceil(frames / every) / MOST_TASKS)
         words = f"error: {tasks:,} tasks are more than a template may list ({MOST_TASKS:,})"
         raise CommandError(ExitCode.USAGE, words, f"write `--chunk {enough}`, or export lines: `--to job.jsonl`")
-    for word in (word for step in job.steps for word in step.command):
-        texts = (word,) if isinstance(word, str) else (word.prefix, word.suffix)
-        for text in texts:
-            if "{{" in text:
-                words = f"error: `{text}` has `{{{{`, which marks parameters in a template"
-                raise CommandError(ExitCode.USAGE, words, "give it another name, or write lines: `--to job.jsonl`")
+    for text in (text for step in job.steps for text in step.fixed_texts()):
+        if "{{" in text:
+            words = f"error: `{text}` has `{{{{`, which marks parameters in a template"
+            raise CommandError(ExitCode.USAGE, words, "give it another name, or write lines: `--to job.jsonl`")
 
 
 def _template_text(document: dict[str, object], ending: str) -> bytes:
@@ -147,7 +145,7 @@ def _template_text(document: dict[str, object], ending: str) -> bytes:
 
 
 def _print_summary(job: Job, to: Path) -> None:
-    from antdsl.farm.open_job import paths_to_name
+    from antdsl.farm import paths_to_name
 
     counts = [f"{step.name} ({len(step.chunks)} tasks)" if step.chunks else step.name for step in job.steps]
     print_note(f"{to}: {', '.join(counts)}")

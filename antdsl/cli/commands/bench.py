@@ -1,4 +1,4 @@
-"""`antdsl bench`: the duration of steps, phase by phase, compared with other backends and a hand-written frame."""
+"""`antdsl bench`: the duration of steps, phase by phase, compared with other backends."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def bench(
     with protect_inputs({"--json": json_}) as inputs:
         inputs += [Path(name) for name in cases or [] if name not in CASES]
     names = _choose_backends(backend)
-    from antdsl.cli.run import choose_threads
+    from antdsl.cli.commands.run import choose_threads
 
     threads = choose_threads(threads)
     jobs = _choose_jobs(cases or [], agents)
@@ -102,14 +102,10 @@ def _require_openable(name: str) -> None:
 def _measure_case(
     name: str, count: int | None, backends: list[str], turns: int, steps: int, threads: int, full_run: bool
 ) -> Result:
-    from antdsl.bench import CASES, Job
+    from antdsl.bench import Job
     from antdsl.bench.tables import Result
-    from antdsl.machine_code import machine
-    from antdsl.resources import benchmark_file
 
-    case = CASES.get(name)
-    bound = case is not None and case.bound and benchmark_file("bound.py") is not None and machine.is_available()
-    alone = [_measure(Job(name, count, (each,), turns, steps, threads, bound, full_run)) for each in backends]
+    alone = [_measure(Job(name, count, (each,), turns, steps, threads, full_run)) for each in backends]
     together = _measure(Job(name, count, tuple(backends), turns, steps, threads)) if len(backends) > 1 else None
     return Result(tuple(alone), together)
 

@@ -15,6 +15,7 @@ EXTRAS = {
     "distributed": "sweeps, shots and pictures on several machines: pip install 'antdsl[cluster]'",
     "pyarrow": "tables of sweeps as Parquet: pip install 'antdsl[parquet]'",
     "graphlay": "pictures of state machines: pip install 'antdsl[graph]'",
+    "resvg_py": "pictures of state machines as PNG: pip install 'antdsl[graph]'",
     "pygls": "editors: pip install 'antdsl[lsp]'",
     "websockets": "the preview: pip install 'antdsl[preview]'",
 }

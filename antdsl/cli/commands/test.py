@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from antdsl.cli.commands.run import Backend
 from antdsl.cli.destinations import (
     protect_inputs,
     redirect_messages,
@@ -18,7 +19,6 @@ from antdsl.cli.destinations import (
 )
 from antdsl.cli.exits import CommandError, ExitCode
 from antdsl.cli.printing.messages import print_note
-from antdsl.cli.run import Backend
 
 if TYPE_CHECKING:
     from antdsl.specs import Case, Run
@@ -52,8 +52,8 @@ def test(
 ) -> None:
     """Run the specs of programs and say what was not as expected."""
     from antdsl.cli.arguments import parse_grants
+    from antdsl.cli.commands.run import choose_threads
     from antdsl.cli.printing.reports import report_exit_code, show
-    from antdsl.cli.run import choose_threads
     from antdsl.files import find_files
     from antdsl.runtime import Options
     from antdsl.specs import Work, collect_cases, run_cases

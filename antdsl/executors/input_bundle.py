@@ -1,10 +1,8 @@
-"""Input bundles: files under their original paths, as one byte string with a hash. The files of a project travel to other
-machines this way, once."""
+"""Input bundles: files under their original paths, with a hash. The files of a project are sent to other machines in one."""
 
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -17,25 +15,22 @@ from antdsl.limits import BUNDLE_BYTES
 
 @dataclass(frozen=True, slots=True)
 class FileBundle:
-    """`data`: the length of a table of contents in 8 bytes, the table as JSON (paths and sizes, in order), the files."""
+    """`files`: the contents by path, relative to the folder into which they are unpacked; `digest`: their hash."""
 
-    data: bytes
+    files: Mapping[str, bytes]
     digest: str
 
     def unpack(self, folder: Path) -> None:
-        """Write the files below a folder, each at `inside(folder, its path)`. Raises Refused if the data does not match the
-        hash."""
-        if _digest(self.data) != self.digest:
+        """Write the files below a folder. Raises TaskRefused if they do not match the hash, or one would be outside."""
+        if digest_files(self.files) != self.digest:
             raise TaskRefused("the files of the project did not arrive as they were sent")
-        start = 8 + int.from_bytes(self.data[:8], "little")
-        for name, size in json.loads(self.data[8:start]):
+        for name, content in self.files.items():
             path = folder / name
             if not path.resolve().is_relative_to(folder.resolve()):
                 raise TaskRefused(f"a file of the project would be put outside of its folder: `{name}`")
             path.parent.mkdir(parents=True, exist_ok=True)
             with open(path, "xb") as file:
-                file.write(self.data[start : start + size])
-            start += size
+                file.write(content)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,20 +42,20 @@ class VisibleFile:
 
     @classmethod
     def of(cls, path: Path) -> VisibleFile:
-        """OSError where there is no such file."""
-        absolute_path = Path(os.path.abspath(path))
-        return cls(str(absolute_path), _digest(read_bounded(absolute_path, BUNDLE_BYTES)))
+        """Raises OSError if there is no such file."""
+        absolute_path = os.path.abspath(path)
+        return cls(absolute_path, digest_files({"": read_bounded(absolute_path, BUNDLE_BYTES)}))
 
     def is_visible(self) -> bool:
-        """Whether it is seen here."""
+        """Return whether this machine has the file."""
         try:
-            return _digest(read_bounded(self.path, BUNDLE_BYTES)) == self.digest
+            return VisibleFile.of(Path(self.path)) == self
         except OSError:
             return False
 
 
 def pack(paths: Iterable[Path]) -> FileBundle:
-    """Return an input bundle of regular files. Raises Refused if they are more than `BUNDLE_BYTES` together, OSError if one
+    """Return an input bundle of regular files. Raises TaskRefused if they are more than `BUNDLE_BYTES` together, OSError if one
     cannot be read."""
     files: dict[str, bytes] = {}
     left = BUNDLE_BYTES
@@ -70,13 +65,7 @@ def pack(paths: Iterable[Path]) -> FileBundle:
         if left < 0:
             raise TaskRefused(f"the files that the scenes read are more than {BUNDLE_BYTES >> 20} MiB, and more do not travel")
         files[_relative_path(path)] = content
-    return _pack_files(files)
-
-
-def _pack_files(files: Mapping[str, bytes]) -> FileBundle:
-    table = json.dumps([[name, len(content)] for name, content in files.items()]).encode()
-    data = b"".join((len(table).to_bytes(8, "little"), table, *files.values()))
-    return FileBundle(data, _digest(data))
+    return FileBundle(files, digest_files(files))
 
 
 def unpacked_path(folder: Path, path: str) -> Path:
@@ -90,5 +79,10 @@ def _relative_path(path: PurePath) -> str:
     return "/".join([*([drive] if drive else []), *path.parts[1:]])
 
 
-def _digest(data: bytes) -> str:
-    return hashlib.blake2b(data, digest_size=16).hexdigest()
+def digest_files(files: Mapping[str, bytes]) -> str:
+    """Return a hash of paths and contents."""
+    hashed = hashlib.blake2b(digest_size=16)
+    for name, content in files.items():
+        hashed.update(f"{name}\0{len(content)}\0".encode())
+        hashed.update(content)
+    return hashed.hexdigest()

@@ -17,8 +17,8 @@ from antdsl.machine_code.kinds import BOOL, F32, I8, I32, I64, PTR, WIDTH
 from antdsl.machine_code.lanes import Lanes
 from antdsl.plan import ir
 from antdsl.runtime.backends.native.block import BlockWriter, FunctionWriter
-from antdsl.runtime.backends.native.cells import BEYOND, CellRows, append_numbers
-from antdsl.runtime.backends.native.near import STRIDE, NearPairs, Search, measure_pairs
+from antdsl.runtime.backends.native.search.cells import BEYOND, CellRows, append_numbers
+from antdsl.runtime.backends.native.search.near import STRIDE, NearPairs, Search, measure_pairs
 from antdsl.runtime.backends.native.sets import PairValues, accumulate
 from antdsl.runtime.backends.native.sums import NO_LABEL, RunningReduction
 from antdsl.runtime.world import AXES

@@ -79,8 +79,8 @@ def _listen(host: str | None, port: int | None, let_others_in: bool) -> Listenin
 
 def _make_live(scene: Path, choices: Choices, threads: int) -> Live:
     """Return the live simulation. Mistakes in the files are reported; the simulation begins as soon as they are corrected."""
+    from antdsl.cli.commands.run import choose_threads
     from antdsl.cli.printing.reports import report_exit_code, show
-    from antdsl.cli.run import choose_threads
     from antdsl.preview.live import Live
     from antdsl.runtime import Options
 

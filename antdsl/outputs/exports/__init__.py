@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from antdsl.outputs.cache.cache_reader import Arrays, Cache
 from antdsl.outputs.cache.frame_agents import ALWAYS_SAVED, IDENTITY, agent_ids, species_rows
-from antdsl.outputs.csv_export import export_csv
-from antdsl.outputs.events_export import export_csv_events, export_npz_events
-from antdsl.outputs.geo_export import export_geo
-from antdsl.outputs.gltf_export import export_gltf
-from antdsl.outputs.mesh_export import export_meshes, export_usd_meshes
-from antdsl.outputs.npz_export import export_arrays
+from antdsl.outputs.exports.csv_export import export_csv
+from antdsl.outputs.exports.events_export import export_csv_events, export_npz_events
+from antdsl.outputs.exports.geo_export import export_geo
+from antdsl.outputs.exports.gltf_export import export_gltf
+from antdsl.outputs.exports.mesh_export import export_meshes, export_usd_meshes
+from antdsl.outputs.exports.npz_export import export_arrays
+from antdsl.outputs.exports.poses_export import export_poses
+from antdsl.outputs.exports.solid_export import export_solids, export_volumes
 from antdsl.outputs.numbered_files import numbered_path
-from antdsl.outputs.poses_export import export_poses
-from antdsl.outputs.solid_export import export_solids, export_volumes
 from antdsl.outputs.usd.stage import UsdOptions, XformOptions, export_instances, export_xforms
 from antdsl.program.tables.columns import FRAME
 

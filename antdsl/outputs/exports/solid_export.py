@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.outputs.cache.dug_solids import DugSolids
 from antdsl.outputs.cache.npz import to_bytes
+from antdsl.outputs.exports.mesh_files import Part, write_mesh
 from antdsl.outputs.gallery import Gallery
-from antdsl.outputs.mesh_files import Part, write_mesh
 from antdsl.outputs.numbered_files import NoExport, numbered_path
 from antdsl.scene.model import UNIT_MM
 from antdsl.whole import write_atomically

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from antdsl.machine_code import machine
-from antdsl.machine_code.kernels import direct_text as reading
+from antdsl.machine_code.kernels.direct import argument_text as reading
 
 _PIECE, _ALIGNED, _WRITEABLE = 0x1, 0x100, 0x400  # flags of arrays
 _FASTCALL = 0x80

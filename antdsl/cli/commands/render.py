@@ -112,7 +112,7 @@ def render(
 ) -> None:
     """Draw frames of a cache."""
     from antdsl.cli.arguments import parse_frame_range
-    from antdsl.cli.run import choose_threads
+    from antdsl.cli.commands.run import choose_threads
     from antdsl.outputs.drawing import DrawRequest, Stills
 
     require_scheduler(scheduler, tls, no_tls)
@@ -196,14 +196,16 @@ def _parse_window(text: str) -> Window:
 
 
 def _parse_strengths(texts: list[str]) -> dict[str, float]:
+    from antdsl.scene.quantities import QuantityError, parse_number
+
     strengths = {}
     for text in texts:
         name, _, value = text.partition("=")
         try:
-            strengths[name.strip()] = float(value)
-        except ValueError:
+            strengths[name.strip()] = parse_number(value)
+        except QuantityError:
             strengths[name.strip()] = 0.0
-        if not 0 < strengths[name.strip()] < float("inf"):
+        if strengths[name.strip()] <= 0:
             raise typer.BadParameter(f"`{text}` is not a field with a strength, such as `trail=20`", param_hint="--full")
     return strengths
 

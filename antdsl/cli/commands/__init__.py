@@ -1,0 +1,1 @@
+"""One module for each command: its flags, a call into the pipeline, printing and an exit code."""

@@ -1,0 +1,190 @@
+"""A shot as a job for any render farm: a scene in, steps with dependencies out.
+
+`shot_job` defines the commands of a shot and their dependencies. `job_template` writes them as a template of Open Job
+Description, `json_lines` as lines for any script. Every command may be stopped and restarted: it continues from existing
+results."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+MOST_TASKS = 1024  # values that a list of a parameter may have in a template
+_FRAMES = "Frames"  # the name of a task's frames
+_PLACEHOLDER = re.compile("\0(\\w+)\0")  # no word of a command line has this character
+
+
+@dataclass(frozen=True, slots=True)
+class JobPath:
+    """A path that may differ on another machine. `flow`: whether it is read, written, or both."""
+
+    name: str
+    path: Path
+    flow: Literal["IN", "OUT", "INOUT"]
+    description: str
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One command, or one for each chunk of frames. In `command`, `_placeholder` stands for a path or the chunk. `needs`: steps
+    that must finish first."""
+
+    name: str
+    description: str
+    command: tuple[str, ...]
+    needs: tuple[str, ...] = ()
+    chunks: tuple[str, ...] = ()
+    grace: int = 120  # seconds from SIGTERM to SIGKILL
+
+    def fixed_texts(self) -> list[str]:
+        """Return the parts of the command that are the same on all machines and for all chunks."""
+        return [text for word in self.command for text in _PLACEHOLDER.split(word)[::2]]
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """All steps of a shot, in a valid execution order."""
+
+    name: str
+    paths: tuple[JobPath, ...]
+    steps: tuple[Step, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Shot:
+    """The requested output: frames `first` to `last` of a scene, one drawn in `every` frames, `chunk` pictures per task. `run`
+    and `render`: extra arguments of these commands."""
+
+    scene: Path
+    cache: Path
+    pictures: Path
+    first: int
+    last: int
+    every: int = 1
+    chunk: int = 10
+    run: tuple[str, ...] = ()
+    render: tuple[str, ...] = ()
+    roots: tuple[tuple[str, Path], ...] = ()
+    film: bool = True
+
+
+def shot_job(shot: Shot, name: str) -> Job:
+    """Return the job that makes a shot."""
+    project = JobPath("Project", shot.scene.parent, "IN", "The folder of the scene, with all that lies below it")
+    cache = JobPath("Cache", shot.cache, "INOUT", "The folder of the cache")
+    pictures = JobPath("Pictures", shot.pictures, "INOUT", "The folder of the pictures")
+    roots = tuple(JobPath(f"Root_{root}", path, "IN", f"The folder that the scene calls {root}") for root, path in shot.roots)
+    between = f"{shot.first}..{shot.last}"
+    granted = [word for root, _ in shot.roots for word in ("--root", f"{root}={_placeholder(f'Root_{root}')}")]
+    scene, cache_word = f"{_placeholder('Project')}/{shot.scene.name}", _placeholder("Cache")
+    draw = ("antdsl", "render", cache_word, "--out", _placeholder("Pictures"))
+    look = (*(("--every", str(shot.every)) if shot.every > 1 else ()), *shot.render, "--resume")
+    steps = [
+        Step(
+            "simulation",
+            "Frames are simulated one after the other, on one machine; a run that was ended goes on from its last checkpoint",
+            ("antdsl", "run", scene, "--frames", between, "--out", cache_word, *granted, *shot.run, "--resume"),
+        ),
+        Step(
+            "frames",
+            "Pictures are drawn in chunks, each on any machine; those that are there, whole, are not drawn again",
+            (*draw, "--frames", _placeholder(_FRAMES), "--shot", between, *look),
+            ("simulation",),
+            frame_chunks(shot.first, shot.last, shot.every, shot.chunk),
+            30,
+        ),
+    ]
+    if shot.film:
+        film = (*draw, "--film", "--frames", between, *look)
+        steps.append(Step("film", "The pictures become a film; missing pictures are drawn first", film, ("frames",), (), 30))
+    return Job(name, (project, *roots, cache, pictures), tuple(steps))
+
+
+def frame_chunks(first: int, last: int, every: int, count: int) -> tuple[str, ...]:
+    """Return ranges of frames that have `count` pictures each, the last perhaps fewer; each begins with a picture."""
+    starts = range(first, last + 1, every * count)
+    return tuple(f"{start}..{min(start + every * count - 1, last)}" for start in starts)
+
+
+def _placeholder(name: str) -> str:
+    return f"\0{name}\0"
+
+
+def _command_words(command: Sequence[str], values: Mapping[str, str]) -> list[str]:
+    """Return the words of a command with the value of each placeholder inserted."""
+    return [_PLACEHOLDER.sub(lambda match: values[match[1]], word) for word in command]
+
+
+def json_lines(job: Job) -> str:
+    """Return a line for each command, in a valid execution order: `name`, `step`, `command` as words, and `needs`, the names of
+    the commands that must finish first. Paths are absolute paths of this machine."""
+    paths = {place.name: str(place.path.resolve()) for place in job.paths}
+    names = {step.name: [_command_name(step, frames) for frames in step.chunks or ("",)] for step in job.steps}
+    lines = []
+    for step in job.steps:
+        needs = [name for earlier_step in step.needs for name in names[earlier_step]]
+        for name, frames in zip(names[step.name], step.chunks or ("",), strict=True):
+            command = _command_words(step.command, paths | {_FRAMES: frames})
+            entry = {"name": name, "step": step.name, "command": command, "needs": needs}
+            lines.append(json.dumps(entry, ensure_ascii=False))
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _command_name(step: Step, frames: str) -> str:
+    return f"{step.name} {frames}" if frames else step.name
+
+
+def job_template(job: Job, folder: Path) -> dict[str, Any]:
+    """Return a template of Open Job Description, revision 2023-09, as JSON values, without any extension of it
+    (https://github.com/OpenJobDescription/openjd-specifications/wiki/2023-09-Template-Schemas). `folder`: where its file will
+    lie. Places below it are relative to it. The submitter of the job must name others, as the specification lets no template lead
+    out of its folder."""
+    return {
+        "specificationVersion": "jobtemplate-2023-09",
+        "name": job.name,
+        "parameterDefinitions": [_path_parameter(place, folder) for place in job.paths],
+        "steps": [_step_template(job, step) for step in job.steps],
+    }
+
+
+def paths_to_name(job: Job, folder: Path) -> list[JobPath]:
+    """Return the places that the submitter of the job must name."""
+    return [place for place in job.paths if _path_below(place, folder) is None]
+
+
+def _path_below(place: JobPath, folder: Path) -> str | None:
+    path, start = place.path.resolve(), folder.resolve()
+    return path.relative_to(start).as_posix() if path.is_relative_to(start) else None
+
+
+def _path_parameter(place: JobPath, folder: Path) -> dict[str, Any]:
+    parameter = {
+        "name": place.name,
+        "type": "PATH",
+        "objectType": "DIRECTORY",
+        "dataFlow": place.flow,
+        "description": place.description,
+    }
+    below = _path_below(place, folder)
+    return parameter if below is None else parameter | {"default": below}
+
+
+def _step_template(job: Job, step: Step) -> dict[str, Any]:
+    expressions = {place.name: f"{{{{Param.{place.name}}}}}" for place in job.paths}
+    command, *rest = _command_words(step.command, expressions | {_FRAMES: f"{{{{Task.Param.{_FRAMES}}}}}"})
+    action = {
+        "command": command,
+        "args": rest,
+        "cancelation": {"mode": "NOTIFY_THEN_TERMINATE", "notifyPeriodInSeconds": step.grace},
+    }
+    entry: dict[str, Any] = {"name": step.name, "description": step.description}
+    if step.needs:
+        entry["dependencies"] = [{"dependsOn": name} for name in step.needs]
+    if step.chunks:
+        tasks = {"name": _FRAMES, "type": "STRING", "range": list(step.chunks)}
+        entry["parameterSpace"] = {"taskParameterDefinitions": [tasks]}
+    return entry | {"script": {"actions": {"onRun": action}}}
