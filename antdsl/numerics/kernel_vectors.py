@@ -40,6 +40,14 @@ def of(vectors: Any, i: I64) -> Vec3:
 
 
 @inlined
+def finite_vector(x: Any, y: Any, z: Any) -> Vec3:
+    """A vector in float64, 0 where it is no number."""
+    a, b, c = np.float64(x), np.float64(y), np.float64(z)
+    good = np.isfinite(a) and np.isfinite(b) and np.isfinite(c)
+    return (a if good else 0.0), (b if good else 0.0), (c if good else 0.0)
+
+
+@inlined
 def put_vector(vectors: Any, i: I64, v: Vec3) -> None:
     """Write one of vectors (3, n)."""
     vectors[0, i], vectors[1, i], vectors[2, i] = v

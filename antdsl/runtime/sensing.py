@@ -313,13 +313,13 @@ def _row_numbers(rows: Rows) -> NDArray[np.intp]:
 def _clear_velocity(world: World, population: Population, node: ir.Node, rows: Rows, *how: Value) -> Value:
     """Return a collision-free velocity. `how`: the wish x y z, `within`, `horizon` and the largest number of others."""
     which = _row_numbers(rows)
-    wx, wy, wz, *rest = (_spread_rows(each, rows) for each in how)
-    within, horizon, most = (np.float64(1) * each for each in rest)
+    wx, wy, wz = (_spread_rows(each, rows) for each in how[:3])
+    within, horizon, most = (_spread_rows(np.float64(1) * each, rows) for each in how[3:])
     return clear_velocity(world, population, which, (wx, wy, wz), within, horizon, most)
 
 
 def _widest_gap(world: World, population: Population, node: ir.Node, rows: Rows, within: Value, most: Value) -> Value:
-    within, most = (np.float64(1) * _spread_rows(each, rows) for each in (within, most))
+    within, most = (_spread_rows(np.float64(1) * each, rows) for each in (within, most))
     return widest_gap(world, population, _row_numbers(rows), within, most)
 
 

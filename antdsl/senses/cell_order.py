@@ -109,9 +109,9 @@ class CellOrder:
     """Agents in the order of cells, with arrays that the next sort reuses. Agents without a finite position come last, in no
     cell.
 
-    `columns`: x, y and z float32 in that order, with eight spare values at the end. `rows` int32: of the agents. `at` int32[n +
-    8]: the position of each row in the order. `starts` int32: the first agent of each cell and the number of agents; empty if
-    there are too many cells for a table. Then `keys` int64 are the cells of the agents.
+    `columns`: x, y and z float32 in that order, with eight spare values at the end. `fours`: these and the row, agent by agent.
+    `rows` int32: of the agents. `at` int32[n + 8]: the position of each row in the order. `starts` int32: the first agent of each
+    cell and the number of agents; empty if there are too many cells for a table. Then `keys` int64 are the cells of the agents.
 
     `tables`: what a plan's machine code reads; a new mapping whenever an array in it is replaced. `places`: x, y, z and the row
     of each agent, [n + 8, 4], the last as the bits of an int32. `floats`: low, width and inverse width of cells along the fast,
@@ -127,8 +127,8 @@ class CellOrder:
         self._counts, self.keys, self.starts = self._table, NO_ORDER, np.empty(0, np.int32)
         self.shape: Shape | None = None
         self._cells: tuple[Any, ...] = ()
-        self._flat = self._places.reshape(-1)
-        self._put = (self._flat, self._flat.view(np.int32), self.at)
+        self.fours = self._places.reshape(-1)
+        self._put = (self.fours, self.fours.view(np.int32), self.at)
         self.tables: dict[str, NDArray[Any] | None] = {"places": self._places, "at": self.at, "keys": self.keys, "starts": None}
         self.tables |= dict(zip("xyz", self.columns, strict=True)) | {"floats": self._floats, "whole": self._whole}
 
@@ -155,7 +155,7 @@ class CellOrder:
             self.keys = keys.take(by_cell)
             self.tables = {**self.tables, "keys": self.keys}
         run_in_chunks(partial(_store_agents, positions, order, keys, counts, *self._put), self._chunks, self.threads)
-        parallel.in_parts(partial(_store_columns, self._flat, *self.columns), self.count, self.threads, parallel.LIGHT)
+        parallel.in_parts(partial(_store_columns, self.fours, *self.columns), self.count, self.threads, parallel.LIGHT)
 
     def _set_shape(self, shape: Shape) -> None:
         """Store the cell counts of a shape, and allocate a table of the cells."""

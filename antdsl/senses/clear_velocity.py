@@ -11,125 +11,106 @@ bits, whichever other agents are computed."""
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import BOOL, F64, I64, Array1, Array2, called, inlined, kernel
-from antdsl.numerics import elementary, parallel
+from antdsl.machine_code.kernels import BOOL, F32, F64, I64, Array1, Array2, called, independent, inlined, kernel, scratch
+from antdsl.numerics import elementary
+from antdsl.numerics.kernel_vectors import dot, finite_vector
+from antdsl.senses import nearest_others as others
+from antdsl.senses.nearest_others import SIZE, Crowd, Other, Requesters, SearchMemory
 
 _TURN = 2 * np.pi
 _ALIKE = 1e-4  # rad: gaps that differ by less are equally wide
 Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 Column = Array1[F64]
 Lines = tuple[Column, Column, Column, Column, Array1[I64]]  # px, py, dx, dy of borders, and 1 where there is one
-# x, y, vx, vy and room of others, who are there, and who is the first of two on one spot
-Columns = tuple[Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array2[F64], Array2[BOOL], Array2[BOOL]]
 
 _PARALLEL = 1e-9  # sine between two borders, below which they do not cross
 _LEAST = 1e-30
+_LONGEST = 1e6  # s that a horizon counts at most
+_FASTEST = 1e9  # mm/s that count at most
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Neighbours:
-    """Neighbours of n agents, at most m each, nearest first: float64[n,m] in the plane of the requesting agent.
+class Wishes(NamedTuple):
+    """What requesters wish for: a velocity in space (mm/s), and for how many seconds they avoid hits. `max_speed`: of all rows of
+    their species."""
 
-    `x y`: other minus own position; `vx vy`: own minus other velocity; `radius_sum`: the sum of both radii (mm, mm/s).
-    `is_present`: which entries are valid. `first`: the two are at one position and the requesting one comes first by species and
-    id."""
-
-    x: Floats
-    y: Floats
-    vx: Floats
-    vy: Floats
-    radius_sum: Floats
-    is_present: Flags
-    first: Flags
-
-
-def clear_velocities(
-    others: Neighbours, velocity: tuple[Floats, Floats], wish: tuple[Floats, Floats], fastest: Floats, horizon: Floats, dt: float,
-    threads: int = 1,
-) -> tuple[Floats, Floats]:  # fmt: skip
-    """Return velocities (mm/s, float64[n] along both axes of each agent's plane) nearest to a `wish`, no faster than `fastest`.
-    They avoid all hits within `horizon` s if the others do their half. Agents that overlap separate within `dt` s."""
-    o = others
-    columns = parallel.contiguous(o.x, o.y, o.vx, o.vy, o.radius_sum, o.is_present, o.first)
-    own, wished, (most, until) = (parallel.contiguous(*each) for each in (velocity, wish, (fastest, horizon)))
-    parts = parallel.in_parts(lambda *part: _clear_part(columns, own, wished, most, until, dt, *part), len(fastest), threads)
-    if len(parts) == 1:
-        return parts[0]
-    return np.concatenate([each[0] for each in parts]), np.concatenate([each[1] for each in parts])
-
-
-def _clear_part(
-    others: tuple[NDArray[Any], ...], velocity: tuple[Floats, ...], wish: tuple[Floats, ...], fastest: Floats, horizon: Floats,
-    dt: float, begin: int, end: int,
-) -> tuple[Floats, Floats]:  # fmt: skip
-    """Compute `clear_velocities` for agents from `begin` to `end`; `others` are `Columns`."""
-    most = others[0].shape[1]
-    borders, between = ((*np.empty((4, most)), np.empty(most, np.int64)) for _ in range(2))
-    x, y = np.empty((2, end - begin))
-    _clear_rows(others, velocity, wish, fastest, horizon, dt, begin, end, borders, between, x, y)
-    return x, y
+    velocity: tuple[Column, Column, Column]
+    horizon: Column
+    max_speed: Array1[F32]
 
 
 @kernel
-def _clear_rows(
-    others: Columns, velocity: tuple[Column, Column], wish: tuple[Column, Column], fastest: Column, horizon: Column, dt: F64,
-    begin: I64, end: I64, borders: Lines, between: Lines, x: Column, y: Column,
-) -> None:  # fmt: skip
-    most = borders[0].size
-    for a in range(begin, end):
-        for c in range(most):
-            if others[5][a, c]:
-                _set_border(others, a, c, velocity[0][a], velocity[1][a], horizon[a], dt, borders)
-            else:
-                borders[4][c] = 0
-        wx, wy, limit = wish[0][a], wish[1][a], fastest[a]
-        size = math.sqrt(wx * wx + wy * wy)
-        part = 1.0
-        if size > limit:
-            part = limit / (size if size > 0.0 else 1.0)
-        vx, vy, failed = _nearest_allowed(borders, most, limit, wx, wy, wx * part, wy * part, False)
-        if failed < most:
-            vx, vy = _least_violation(borders, between, most, limit, vx, vy, failed)
-        x[a - begin], y[a - begin] = vx, vy
+def fill_clear_velocities(
+    crowd: Crowd, requesters: Requesters, wishes: Wishes, dt: F64, velocities: Array2[F32], begin: I64, end: I64
+) -> None:
+    """Write velocities in space (3, n; mm/s) along the ground that are nearest to the wishes, no faster than `max_speed`, for
+    requesters from the `begin`-th to before the `end`-th. They avoid all hits within the horizon if the others do their half.
+    Agents that overlap separate within `dt` s."""
+    memory = SearchMemory(scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64))
+    borders = (scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, I64))
+    between = (scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, F64), scratch(SIZE, I64))
+    others.clear_memory(memory)
+    for k in range(begin, end):
+        plane, at = others.plane_of(crowd, requesters, k), requesters.positions[k]
+        count = others.find_nearest(crowd, requesters, k, plane.up, memory)
+        own, (a, b, c) = others.sensed_vector(crowd.motion, at), wishes.velocity
+        wish, speed = finite_vector(a[k], b[k], c[k]), np.float64(wishes.max_speed[requesters.rows[k]])
+        own_x, own_y = dot(own, plane.ahead), dot(own, plane.left)
+        horizon = min(wishes.horizon[k], _LONGEST) if wishes.horizon[k] > 0.0 else _LONGEST
+        for n in independent(0, max(count, (count + 5) & -8)):  # one or two in the end are faster one by one
+            q, key = memory.nearest[n] if n < count else at, memory.nearest_keys[n] if n < count else 0
+            other, side = others.relative_to(crowd, plane, at, q), others.side_by_name(crowd, at, key)
+            set_border(other, side, n, own_x, own_y, horizon, dt, borders)
+        fastest = min(speed if speed > 0.0 else 0.0, _FASTEST)
+        x, y = nearest_velocity(borders, between, count, fastest, dot(wish, plane.ahead), dot(wish, plane.left))
+        for axis in range(3):
+            velocities[axis, k] = np.float32(plane.ahead[axis] * x + plane.left[axis] * y)
 
 
 @inlined
-def _set_border(others: Any, a: I64, c: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: Lines) -> None:
-    """Set the half-plane that neighbour c of agent a allows."""
-    xs, ys, vxs, vys, rooms, is_present, first = others
+def set_border(other: Other, side: F64, c: I64, own_x: F64, own_y: F64, horizon: F64, dt: F64, borders: Lines) -> None:
+    """Set the half-plane that neighbour c of an agent allows; one without a direction, which allows all, if it is not finite.
+    `side`: the direction for agents at one position with one velocity."""
     px, py, dx, dy, sound = borders
-    x, y, vx, vy, r = xs[a, c], ys[a, c], vxs[a, c], vys[a, c], rooms[a, c]
+    x, y, r = other.x, other.y, other.radius_sum
     square, square_radius = x * x + y * y, r * r
     is_separate = square > square_radius
     seconds = horizon if is_separate else dt
-    wx, wy = vx - x / seconds, vy - y / seconds
+    wx, wy = other.vx - x / seconds, other.vy - y / seconds
     size = math.sqrt(wx * wx + wy * wy)
-    ux, uy = 1.0 if first[a, c] else -1.0, 0.0
-    if size > _LEAST:
-        ux, uy = wx / size, wy / size
     along = wx * x + wy * y
-    if not is_separate or (along < 0.0 and along * along > square_radius * (size * size)):
-        change = r / seconds - size
-        dx[c], dy[c] = uy, -ux
-        cx, cy = change * ux, change * uy
-    else:
-        leg = math.sqrt(max(square - square_radius, 0.0))
-        side = 1.0 if x * wy - y * wx > 0.0 else -1.0
-        over = square if square > _LEAST else 1.0
-        lx, ly = side * (x * leg - side * (y * r)) / over, side * (side * (x * r) + y * leg) / over
-        reach = vx * lx + vy * ly
-        dx[c], dy[c] = lx, ly
-        cx, cy = reach * lx - vx, reach * ly - vy
-    px[c], py[c] = own_x + 0.5 * cx, own_y + 0.5 * cy
-    good = is_present[a, c] and math.isfinite(px[c]) and math.isfinite(py[c]) and math.isfinite(dx[c]) and math.isfinite(dy[c])
-    sound[c] = 1 if good else 0
+    is_round = not is_separate or (along < 0.0 and along * along > square_radius * (size * size))
+    leg = math.sqrt(max(square - square_radius, 0.0))
+    hand = 1.0 if x * wy - y * wx > 0.0 else -1.0
+    # Divisions take most of the time: one for each component, of the round end or the leg.
+    over = size if is_round else (square if square > _LEAST else 1.0)
+    ahead = (wy if is_round else hand * (x * leg - hand * (y * r))) / over
+    aside = (-wx if is_round else hand * (hand * (x * r) + y * leg)) / over
+    if is_round and not size > _LEAST:
+        ahead, aside = 0.0, side
+    change, reach = r / seconds - size, other.vx * ahead + other.vy * aside
+    border_x = own_x + 0.5 * (change * -aside if is_round else reach * ahead - other.vx)
+    border_y = own_y + 0.5 * (change * ahead if is_round else reach * aside - other.vy)
+    good = math.isfinite(border_x) and math.isfinite(border_y) and math.isfinite(ahead) and math.isfinite(aside)
+    px[c], py[c] = border_x if good else 0.0, border_y if good else 0.0
+    dx[c], dy[c], sound[c] = ahead if good else 0.0, aside if good else 0.0, good
+
+
+@called
+def nearest_velocity(borders: Lines, between: Lines, most: I64, limit: F64, wx: F64, wy: F64) -> tuple[F64, F64]:
+    """Return the velocity nearest to the wish that the first `most` borders allow, or the one with the least violation."""
+    size = math.sqrt(wx * wx + wy * wy)
+    part = 1.0
+    if size > limit:
+        part = limit / (size if size > 0.0 else 1.0)
+    vx, vy, failed = _nearest_allowed(borders, most, limit, wx, wy, wx * part, wy * part, False)
+    if failed < most:
+        vx, vy = _least_violation(borders, between, most, limit, vx, vy, failed)
+    return vx, vy
 
 
 @inlined
@@ -145,10 +126,10 @@ def _nearest_allowed(
 ) -> tuple[F64, F64, I64]:
     """Return the allowed point nearest to the wish, starting from (x, y) in the circle; with `along`, the farthest in its
     direction. Also return the index of the border that left no allowed point."""
-    px, py, dx, dy, is_sound = borders
+    px, py, dx, dy, _ = borders
     bx, by = x, y
     for k in range(most):
-        if is_sound[k] == 0 or not _excess(borders, k, bx, by) > 0.0:
+        if not _excess(borders, k, bx, by) > 0.0:
             continue
         middle = px[k] * dx[k] + py[k] * dy[k]
         discriminant = middle * middle + fastest * fastest - (px[k] * px[k] + py[k] * py[k])
@@ -157,8 +138,6 @@ def _nearest_allowed(
         half = math.sqrt(discriminant)
         low, high = -middle - half, -middle + half
         for q in range(k):
-            if is_sound[q] == 0:
-                continue
             cross = dx[k] * dy[q] - dy[k] * dx[q]
             away = dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])
             if abs(cross) <= _PARALLEL:
@@ -182,15 +161,15 @@ def _nearest_allowed(
 
 
 @called
-def _least_violation(borders: Lines, between: Any, most: I64, fastest: F64, x: F64, y: F64, failed: I64) -> tuple[F64, F64]:
+def _least_violation(borders: Lines, between: Lines, most: I64, fastest: F64, x: F64, y: F64, failed: I64) -> tuple[F64, F64]:
     """Return the point with the least violation of any border, starting from the point that the borders before `failed` allow."""
     px, py, dx, dy, is_sound = borders
-    qx, qy, ex, ey, is_usable = between
+    qx, qy, ex, ey, _ = between
     bx, by, deepest = x, y, 0.0
     for k in range(failed, most):
         if is_sound[k] == 0 or not _excess(borders, k, bx, by) > deepest:
             continue
-        for q in range(k):
+        for q in independent(0, (k + 7) & -8):
             cross = dx[k] * dy[q] - dy[k] * dx[q]
             level = abs(cross) <= _PARALLEL
             part = (dx[q] * (py[k] - py[q]) - dy[q] * (px[k] - px[q])) / (1.0 if level else cross)
@@ -198,10 +177,10 @@ def _least_violation(borders: Lines, between: Any, most: I64, fastest: F64, x: F
             qy[q] = 0.5 * (py[k] + py[q]) if level else py[k] + part * dy[k]
             wx, wy = dx[q] - dx[k], dy[q] - dy[k]
             size = math.sqrt(wx * wx + wy * wy)
-            over = size if size > _LEAST else 1.0
-            ex[q], ey[q] = wx / over, wy / over
             opposed = not (level and dx[k] * dx[q] + dy[k] * dy[q] > 0.0)
-            is_usable[q] = 1 if is_sound[q] != 0 and size > _LEAST and opposed else 0
+            usable = is_sound[q] != 0 and size > _LEAST and opposed
+            over = size if size > _LEAST else 1.0
+            ex[q], ey[q] = wx / over if usable else 0.0, wy / over if usable else 0.0
         nx, ny, missed = _nearest_allowed(between, k, fastest, -dy[k], dx[k], -dy[k] * fastest, dx[k] * fastest, True)
         if missed == k:
             bx, by = nx, ny

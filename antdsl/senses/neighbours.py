@@ -14,25 +14,39 @@ from antdsl.limits import NEIGHBOURS
 from antdsl.machine_code.kernels import F32, F64, I32, I64, Array1, as_bits, as_float, called, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics.sorting import stable_order
-from antdsl.senses.cell_order import NO_ORDER, CellOrder, Columns, Shape, Sizes, Three, agents_before, box_around
+from antdsl.senses.cell_order import NO_ORDER, CellOrder, Columns, Shape, Sizes, Three, agents_before, box_around, reorder_axes
 
 Floats = NDArray[np.float32]
 Rows = NDArray[np.intp]  # an index of another type is converted at every use
 
 View = tuple[Floats, Floats, Floats, Floats]
 
-_SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
+SLACK = 1.0 + 1e-6  # float32 distances err by a few 2**-24; candidates must be a superset
 _INWARD = 1.0 - 1e-6
-_BEYOND = np.float32(1.0 + 1e-5)  # a squared distance over this many squared radii has a root over the radius
-_LARGEST = np.int64((1 << 63) - 1)
+BEYOND = np.float32(1.0 + 1e-5)  # a squared distance over this many squared radii has a root over the radius
+LARGEST = np.int64((1 << 63) - 1)
 _ZEROS = 29  # last bits of a float64 that are 0 if it is a float32
 
-# Places x, y, z, rows, ids and keys of the agents sorted by cell, the table of starts; then low, inverse width, width and size of
-# the cells
-Grid = tuple[Columns, Array1[I32], Array1[I64], Array1[I64], Array1[I32], Three, Three, Three, Sizes]
 # Places x, y, z and along the fast, middle and slow axis, ids, radius, heading and the cosine of the field of view
 Query = tuple[Columns, Columns, Array1[I64], Array1[F32], Columns, Array1[F32]]
 PairColumns = tuple[Array1[I64], Array1[I64], Array1[F32], Array1[F32], Array1[F32], Array1[F32]]
+
+
+class Grid(NamedTuple):
+    """A `CellGrid` as kernels read it. In the order of cells: x, y and z, the same along the fast, middle and slow axis, and in
+    groups of four; rows, ids, cells. Then the first agent of each cell; low corner, inverse width, width and number of cells."""
+
+    positions: Columns
+    along: Columns
+    fours: Array1[F32]
+    rows: Array1[I32]
+    ids: Array1[I64]
+    keys: Array1[I64]
+    starts: Array1[I32]
+    low: Three
+    inverse: Three
+    width: Three
+    size: Sizes
 
 
 class Progress(NamedTuple):
@@ -111,6 +125,14 @@ class CellGrid:
             reach = np.broadcast_to(reach, qx.shape)
         return self._search((qx, qy, qz), reach, qid, view, threads, 1 << 62 if limit is None else limit)
 
+    def table(self) -> Grid:
+        """Return the cells and their agents as kernels read them."""
+        order, shape, rows = self.order, self.shape, np.ascontiguousarray(self.order.rows)
+        columns: Any = order.columns
+        cells: Any = tuple(shape.low), shape.inverse, tuple(shape.width), tuple(shape.size)
+        agents = order.fours, rows, self.ids.take(rows), order.keys, order.starts
+        return Grid(columns, reorder_axes(shape.axes, columns), *agents, *cells)
+
     def _search(
         self,
         query: tuple[Floats, Floats, Floats],
@@ -120,15 +142,12 @@ class CellGrid:
         threads: int,
         limit: int,
     ) -> Pairs:
-        none = np.empty(0, np.float32)
-        order, shape, rows = self.order, self.shape, np.ascontiguousarray(self.order.rows)
-        cells = tuple(shape.low), shape.inverse, tuple(shape.width), tuple(shape.size)
-        grid = (order.columns, rows, self.ids.take(rows), order.keys, order.starts, *cells)
+        none, grid, axes = np.empty(0, np.float32), self.table(), self.shape.axes
         who = np.empty(0, np.int64) if qid is None else qid
         values: tuple[NDArray[Any], ...] = (*query, who, reach, *(view or (none,) * 4))
 
         def part(begin: int, end: int) -> tuple[NDArray[Any], ...] | None:
-            pair_columns = _find_pairs(grid, shape.axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
+            pair_columns = _find_pairs(grid, axes, [np.ascontiguousarray(value[begin:end]) for value in values], limit)
             if pair_columns is not None:
                 pair_columns[0][:] += begin
             return pair_columns
@@ -140,9 +159,7 @@ class CellGrid:
         return Pairs(*good[0]) if len(good) == 1 else Pairs(*(np.concatenate(column) for column in zip(*good, strict=True)))
 
 
-def _find_pairs(
-    grid: tuple[Any, ...], axes: tuple[int, ...], query: list[NDArray[Any]], limit: int
-) -> tuple[NDArray[Any], ...] | None:
+def _find_pairs(grid: Grid, axes: tuple[int, ...], query: list[NDArray[Any]], limit: int) -> tuple[NDArray[Any], ...] | None:
     """Return pairs of all queries [m] as `Pairs` has them; None if a query has more than `limit` others within its radius.
     `query`: x, y, z, ids (empty if they are not the grid's own), radius; heading x, y, z and cosine, empty for all-round
     queries."""
@@ -165,13 +182,13 @@ def _find_pairs(
 
 
 @inlined
-def _lower_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
+def lower_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Return the cell of the lower end of a span, at least 0 and at most `size`."""
     return math.floor(min(max((q - low) * inverse, 0.0), float(size)))
 
 
 @inlined
-def _upper_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
+def upper_cell(q: F64, low: F64, inverse: F64, size: I64) -> I64:
     """Return the cell of the upper end of a span, at least -1 and below `size`."""
     return math.floor(min(max((q - low) * inverse, -1.0), size - 1.0))
 
@@ -202,12 +219,10 @@ def _find_spans(
 
     Returns the number of spans and of agents in them; or -1 and the required length of `spans`."""
     tiny = 1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18
-    r = radius * _SLACK + tiny
-    b0, b1 = _lower_cell(b - r, low[1], inverse[1], size[1]), _upper_cell(b + r, low[1], inverse[1], size[1])
+    r = radius * SLACK + tiny
+    b0, b1 = lower_cell(b - r, low[1], inverse[1], size[1]), upper_cell(b + r, low[1], inverse[1], size[1])
     sheet = size[2] == 1 and abs(c - low[2]) <= width[2]
-    c0, c1 = (
-        (0, 0) if sheet else (_lower_cell(c - r, low[2], inverse[2], size[2]), _upper_cell(c + r, low[2], inverse[2], size[2]))
-    )
+    c0, c1 = (0, 0) if sheet else (lower_cell(c - r, low[2], inverse[2], size[2]), upper_cell(c + r, low[2], inverse[2], size[2]))
     number, total = 0, 0
     if b0 > b1 or c0 > c1:
         return 0, 0
@@ -220,8 +235,8 @@ def _find_spans(
             left = r * r - off_y * off_y - off_z * off_z
             if not left >= 0:
                 continue
-            half = math.sqrt(left) * _SLACK + tiny
-            a0, a1 = _lower_cell(a - half, low[0], inverse[0], size[0]), _upper_cell(a + half, low[0], inverse[0], size[0])
+            half = math.sqrt(left) * SLACK + tiny
+            a0, a1 = lower_cell(a - half, low[0], inverse[0], size[0]), upper_cell(a + half, low[0], inverse[0], size[0])
             if a0 > a1:
                 continue
             line = (cz * size[1] + cy) * size[0]
@@ -254,7 +269,7 @@ def _nearest_bound(
         else:
             low, closer = middle + 1, nearer_count
     farthest = np.float32(as_float(low << _ZEROS))
-    first, last = _LARGEST, np.int64(-1)
+    first, last = LARGEST, np.int64(-1)
     for p in range(candidate_count):
         first, last = min(first, names[near[p]]), max(last, names[near[p]])
     while first < last:
@@ -279,7 +294,7 @@ def _fill_pairs(
     """Continue with query k, after `used` earlier pairs, until an array is full.
 
     Of more than `NEIGHBOURS`, the nearest are taken, by distance and id."""
-    (sx, sy, sz), rows, names, keys, starts, low, inverse, width, size = grid
+    (sx, sy, sz), _, _, rows, names, keys, starts, low, inverse, width, size = grid
     (qx, qy, qz), (fast, middle, slow), who, radius, (hx, hy, hz), cosine = query
     i, j, dx, dy, dz, distance = pairs
     own, limited = who.size > 0, cosine.size > 0
@@ -298,7 +313,7 @@ def _fill_pairs(
             return Progress(k, used, total, near.size)
         if total > near.size:
             return Progress(k, used, spans.size, total)
-        beyond = reach * reach * _BEYOND + np.float32(1e-30)
+        beyond = reach * reach * BEYOND + np.float32(1e-30)
         candidate_count = 0
         for s in range(number):
             # Written whatever it is, and written over where it was too far: no branch that is hard to foretell.
@@ -306,7 +321,7 @@ def _fill_pairs(
                 ux, uy, uz = sx[at] - x, sy[at] - y, sz[at] - z
                 near[candidate_count] = at
                 candidate_count += (ux * ux + uy * uy) + uz * uz <= beyond
-        farthest, last = np.float32(np.inf), _LARGEST
+        farthest, last = np.float32(np.inf), LARGEST
         if candidate_count > NEIGHBOURS:
             count = 0
             for p in range(candidate_count):

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
+from functools import partial
 
 import numpy as np
 import pytest
+from neighbour_columns import Neighbours, fill_neighbours
 
 from antdsl.numerics import parallel
-from antdsl.runtime.neighbourhood import Plane
+from antdsl.senses.clear_velocity import Wishes, fill_clear_velocities
+from antdsl.senses.nearest_others import Crowd, Requesters, store_sensed
+from antdsl.senses.neighbours import CellGrid
 
 N = 3000
 
@@ -23,10 +26,6 @@ def vectors(rng: np.random.Generator, size: float) -> np.ndarray:
     return random_vectors
 
 
-def of(name: str, three: np.ndarray) -> dict[str, np.ndarray]:
-    return {f"{name}.{axis}": component.copy() for axis, component in zip("xyz", three, strict=True)}
-
-
 @pytest.mark.parametrize("threads", [1, 3])
 def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(parallel, "LIGHT", 100)
@@ -36,35 +35,42 @@ def test_planes_and_moves_are_those_of_the_ground(threads: int, monkeypatch: pyt
         up = np.where(rng.random(N) < 0.8, up / np.sqrt((up * up).sum(axis=0)), up).astype(np.float32)
     heading = vectors(rng, 1.0)
     heading[:, :200] = 2 * up[:, :200]  # no way along the ground
-    start = of("up", up) | of("heading", heading) | of("velocity", vectors(rng, 30.0))
-    start["max_speed"] = rng.choice([0.0, -3.0, 20.0, np.nan, np.inf, 1e12], N).astype(np.float32)
-    population, rows = SimpleNamespace(start=start), rng.permutation(N)[: N - 50]
-    wish = tuple(each[: len(rows)] for each in vectors(rng, 20.0))
-    x, y = rng.normal(0, 9, (2, len(rows)))
-    plane = Plane.of(population, rows, threads)
-    moves = plane.measure_moves(population, rows, wish, threads)
-    results = (*plane.up, *plane.ahead, *plane.left, *moves.own, *moves.velocity, *moves.wish, moves.fastest)
+    velocity, radius = vectors(rng, 30.0), np.ones(N, np.float32)
+    max_speed = rng.choice([0.0, -3.0, 20.0, np.nan, np.inf, 1e12], N).astype(np.float32)
+    rows = rng.permutation(N)[: N - 50]
+    wish, n = vectors(rng, 20.0)[:, : N - 50].astype(float), N - 50
+    grid = CellGrid(*rng.normal(0, 9, (3, N)).astype(np.float32), np.arange(N), 1.0)
+    fours, motion = np.empty((2, 4 * N + 32), np.float32)
+    work = partial(store_sensed, grid.order.at, tuple(up), tuple(velocity), radius, np.arange(N, dtype=np.int32), fours, motion)
+    parallel.in_parts(work, N, threads, parallel.LIGHT)
+    crowd = Crowd(grid.table(), fours, motion, np.empty(0, np.int32))
+    alone, one = np.zeros(n), np.ones(n)
+    requesters = Requesters(grid.order.at.take(rows), rows, alone, one, tuple(heading))
+    planes, velocities = np.empty((9, n)), np.empty((3, n), np.float32)
+    fill_neighbours(crowd, requesters, Neighbours(*np.zeros((5, n, 1)), *np.zeros((2, n, 1), np.bool_)), planes)
+    wishes = Wishes(tuple(wish), one, max_speed)
+    parallel.in_parts(partial(fill_clear_velocities, crowd, requesters, wishes, 0.04, velocities), n, threads, 100)
 
-    def known(name: str) -> np.ndarray:
-        v = np.stack([start[f"{name}.{axis}"] for axis in "xyz"], axis=1)[rows].astype(float)
+    def known(vectors: np.ndarray) -> np.ndarray:
+        v = vectors.T[rows].astype(float)
         return np.where(np.isfinite(v).all(axis=1, keepdims=True), v, 0.0)
 
     with np.errstate(all="ignore"):
-        above, facing, velocity = known("up"), known("heading"), known("velocity")
-        wished = np.where(np.isfinite(wish).all(axis=0), wish, 0).T.astype(float)
+        above, facing, own = known(up), known(heading), known(velocity)
+        wished = np.where(np.isfinite(wish).all(axis=0), wish, 0).T
         ahead = facing - above * (facing * above).sum(axis=1, keepdims=True)
         size = np.linalg.norm(ahead, axis=1, keepdims=True)
         side = np.where(np.abs(above[:, :1]) > 0.9, [[0.0, 1, 0]], [[1.0, 0, 0]])
         side -= above * (side * above).sum(axis=1, keepdims=True)
         ahead = np.where(size > 1e-12, ahead / size, side / np.linalg.norm(side, axis=1, keepdims=True))
         left = np.cross(above, ahead)
-        speed = start["max_speed"][rows].astype(float)
-    laid = [(v * axis).sum(axis=1) for v in (velocity, wished) for axis in (ahead, left)]
-    expected = (*above.T, *ahead.T, *left.T, *velocity.T, *laid, np.where(speed > 0, np.minimum(speed, 1e9), 0.0))
+        speed = max_speed[rows].astype(float)
+        x, y = (wished * ahead).sum(axis=1), (wished * left).sum(axis=1)
+        part = np.minimum(1.0, np.where(speed > 0, np.minimum(speed, 1e9), 0.0) / np.maximum(np.hypot(x, y), 1e-300))
     sure = (size[:, 0] == 0) | (size[:, 0] > 1e-6)  # else the way along the ground is what rounding leaves
-    for one, other in zip(results, expected, strict=True):
-        assert np.allclose(one[sure], other[sure], rtol=1e-9, atol=1e-9, equal_nan=True)
+    expected = np.concatenate([above.T, ahead.T, left.T])
+    assert np.allclose(planes[:, sure], expected[:, sure], rtol=1e-9, atol=1e-9, equal_nan=True)
+    expected = ahead.T * (x * part) + left.T * (y * part)
+    assert np.allclose(velocities[:, sure], expected[:, sure], rtol=1e-6, atol=1e-6, equal_nan=True)
+    assert np.array_equal(motion.reshape(-1, 4)[grid.order.at[rows], :3], own.astype(np.float32))
     assert sure.mean() > 0.8 and (size == 0).sum() > 10
-    raised = np.stack(plane.to_space(x, y, threads))
-    assert raised.dtype == np.float32
-    assert np.allclose(raised, np.stack(plane.ahead) * x + np.stack(plane.left) * y, rtol=1e-6, atol=1e-6, equal_nan=True)

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import plans
 import pytest
+from neighbour_columns import Moves, Neighbours, clear_velocities, nearest_others
 from plan_text import plan_of
 
 from antdsl.bench import programs
 from antdsl.bench.cases import open_shot
-from antdsl.runtime import Options, bind, neighbourhood, step
+from antdsl.runtime import Options, bind, step
 from antdsl.runtime.checkpoints import state_hash
-from antdsl.runtime.neighbourhood import Plane
-from antdsl.senses.clear_velocity import Neighbours, clear_velocities
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
@@ -34,7 +33,7 @@ def others(draw: np.random.Generator, agents: int, count: int, near: float) -> N
 def case(seed: int, count: int, near: float) -> tuple[Neighbours, tuple[np.ndarray, ...]]:
     draw, n = np.random.default_rng(seed), 60
     velocity, wish = draw.normal(size=(2, 2, n)) * 12
-    return others(draw, n, count, near), (velocity, wish, np.full(n, FASTEST), np.full(n, 2.0))
+    return others(draw, n, count, near), (tuple(velocity), tuple(wish), np.full(n, FASTEST), np.full(n, 2.0))
 
 
 def border(x: np.ndarray, v: np.ndarray, radius_sum: float, seconds: float, first: bool) -> tuple[np.ndarray, np.ndarray]:
@@ -58,7 +57,7 @@ def border(x: np.ndarray, v: np.ndarray, radius_sum: float, seconds: float, firs
     return min(candidates, key=lambda each: float(np.hypot(*each[0])))
 
 
-def beyond(o: Neighbours, velocity: np.ndarray, horizon: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def beyond(o: Neighbours, velocity: tuple[np.ndarray, ...], horizon: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """How far velocities [n,k] are beyond the worst border of each agent."""
     worst = np.full(x.shape, -np.inf)
     for a in range(len(x)):
@@ -66,7 +65,7 @@ def beyond(o: Neighbours, velocity: np.ndarray, horizon: np.ndarray, x: np.ndarr
             place, own = np.array([o.x[a, c], o.y[a, c]]), np.array([o.vx[a, c], o.vy[a, c]])
             seconds = horizon[a] if np.hypot(*place) > o.radius_sum[a, c] else DT
             change, normal = border(place, own, o.radius_sum[a, c], seconds, bool(o.first[a, c]))
-            px, py = velocity[:, a] + change / 2
+            px, py = velocity[0][a] + change[0] / 2, velocity[1][a] + change[1] / 2
             worst[a] = np.maximum(worst[a], (px - x[a]) * normal[0] + (py - y[a]) * normal[1])
     return worst
 
@@ -77,7 +76,11 @@ def test_no_velocity_of_a_fine_grid_that_is_allowed_is_nearer_to_the_wish(count:
     if count:
         o.x[:9, 0] = o.y[:9, 0] = o.vx[:9, 0] = o.vy[:9, 0] = 0.0  # on one spot, as fast
         o.first[:4], o.is_present[:9, 0] = False, True
-    x, y = clear_velocities(o, (velocity[0], velocity[1]), (wish[0], wish[1]), fastest, horizon, DT)
+    if count > 1:  # between two that overlap it: both borders are parallel
+        o.x[20:24, :2] = o.y[20:24, :2] = [1.0, -2.0]
+        o.vx[20:24, :2] = o.vy[20:24, :2] = 0.0
+        o.is_present[20:24, :2] = True
+    x, y = clear_velocities(o, Moves(velocity, wish, fastest, horizon), DT)
     assert (np.hypot(x, y) <= FASTEST * (1 + 1e-9)).all()
     axis = np.linspace(-FASTEST, FASTEST, 81)
     gx, gy = (np.broadcast_to(g.ravel(), (len(x), g.size)) for g in np.meshgrid(axis, axis))
@@ -103,7 +106,7 @@ def test_a_change_by_half_each_just_misses_within_the_horizon() -> None:
     zero, is_present = np.zeros((2, 1)), np.ones((2, 1), np.bool_)
     o = Neighbours(x, y, v, zero, np.full((2, 1), 4.0), is_present, is_present)
     own = (np.array([20.0, -20.0]), np.zeros(2))
-    velocities = clear_velocities(o, own, own, np.full(2, 25.0), np.full(2, 3.0), DT)
+    velocities = clear_velocities(o, Moves(own, own, np.full(2, 25.0), np.full(2, 3.0)), DT)
     relative = np.array([velocities[0][0] - velocities[0][1], velocities[1][0] - velocities[1][1]])
     place = np.array([40.0, 1.0])
     part = min(relative @ place / (relative @ relative), 3.0)
@@ -113,36 +116,38 @@ def test_a_change_by_half_each_just_misses_within_the_horizon() -> None:
 
 def test_an_agent_that_may_not_move_or_that_is_no_number_harms_no_other() -> None:
     o, (velocity, wish, fastest, horizon) = case(6, 6, 20.0)
-    expected = clear_velocities(o, (velocity[0], velocity[1]), (wish[0], wish[1]), fastest, horizon, DT)
+    expected = clear_velocities(o, Moves(velocity, wish, fastest, horizon), DT)
     o.vx[9:12, 0], fastest[5:8], horizon[20:22] = np.inf, 0.0, 1e-30
-    velocities = clear_velocities(o, (velocity[0], velocity[1]), (wish[0], wish[1]), fastest, horizon, DT, 3)
+    velocities = clear_velocities(o, Moves(velocity, wish, fastest, horizon), DT)
     alike = np.setdiff1d(np.arange(60), [5, 6, 7, 9, 10, 11, 20, 21])
     for one, other in zip(expected, velocities, strict=True):
         assert np.array_equal(one[alike], other[alike]) and np.isfinite(other).all() and not other[5:8].any()
 
 
-@pytest.mark.parametrize("most", [1, 4, 40])
-def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: int, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("most", "high", "far"), [(1, 0, 900.0), (4, 0, 900.0), (40, 0, 900.0), (40, 3000, 2000.0)])
+def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: int, high: int, far: float, tmp_path: Path) -> None:
     line = "{{species: {0}, from: {0}.ant, count: 60, place: {{radius: 3 m}}}}"
     crowds = ", ".join(line.format(name) for name in ("dog", "cat"))
     (tmp_path / "scene.yaml").write_text(f"antdsl: 1\nunits: mm\nfps: 24\nframes: 1..9\nseed: 1\ncrowd: [{crowds}]\n")
     for name in ("dog", "cat"):
         (tmp_path / f"{name}.ant").write_text(programs.CROWD.replace("person", name))
     shot, draw = open_shot(tmp_path / "scene.yaml", None), np.random.default_rng(3)
-    world = bind(shot.plan, shot.setting, Options(backend="numpy"))
+    world = bind(shot.plan, shot.setting, Options(backend="numpy", shuffle_rows=4))
+    together = world.populations["dog"].start
     for population in world.populations.values():
         for name in ("velocity", "up"):
             for axis in "xyz":
                 population.start[f"{name}.{axis}"][:] += draw.normal(0, 1, len(population)).astype(np.float32)
-        population.start["position.x"][5:9] = population.start["position.x"][5]  # as near as each other
-        population.start["position.z"][5:9] = population.start["position.z"][5]
+        population.start["position.y"] += draw.uniform(-high, high, len(population)).astype(np.float32)
+        for axis in "xyz":  # as near as each other
+            population.start[f"position.{axis}"][9:] += draw.normal(0, 40, len(population) - 9).astype(np.float32)
+            population.start[f"position.{axis}"][5:9] = together[f"position.{axis}"][5]
         population.start["radius"][:3] = [np.nan, -1, np.inf]
         population.start["velocity.y"][7] = np.nan
     asking, rows = world.populations["dog"], draw.permutation(60)[:50]
-    plane = Plane.of(asking, rows, 1)
-    own, within = tuple(draw.normal(size=(3, 50))), np.where(draw.random(50) < 0.9, 900.0, draw.choice([-1, 3000.0], 50))
-    count = np.where(draw.random(50) < 0.2, draw.choice([0, -1, 2], 50), most).astype(float)
-    columns = neighbourhood._nearest_others(world, asking, rows, within, count, own, plane)
+    within = np.where(draw.random(50) < 0.9, far, draw.choice([-1, 2000.0 if high else 3000.0], 50))
+    count = np.where(draw.random(50) < 0.2, draw.choice([0, -1, 0.5, 2], 50), most).astype(float)
+    columns, planes = nearest_others(world, asking, rows, within, count)
     for a, row in enumerate(rows):
         near = []
         for number, (name, other) in enumerate(world.populations.items()):
@@ -153,15 +158,16 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
                     (displacement[0] * displacement[0] + displacement[1] * displacement[1]) + displacement[2] * displacement[2]
                 )
                 up, velocity = ([float(other.start[f"{name}.{axis}"][b]) for axis in "xyz"] for name in ("up", "velocity"))
-                side = sum(one * two for one, two in zip((plane.up[k][a] for k in range(3)), up, strict=True))
+                side = sum(one * two for one, two in zip(planes[:3, a], up, strict=True))
                 if distance <= np.float32(within[a]) and side > 0 and not (other is asking and b == row):
                     velocity = velocity if np.isfinite(velocity).all() else [0.0, 0.0, 0.0]
                     near.append((distance, number, other.ids[b], name, other, b, displacement.astype(float), np.array(velocity)))
         near = sorted(near, key=lambda each: each[:3])[: max(int(count[a]), 0)]
         assert columns.is_present[a].sum() == len(near) and not columns.is_present[a, len(near) :].any()
-        axes = [np.array([axis[k][a] for k in range(3)]) for axis in (plane.ahead, plane.left)]
+        axes = planes[3:6, a], planes[6:, a]
         for c, (_, _, name_id, name, other, b, displacement, velocity) in enumerate(near):
-            relative = np.array([own[k][a] for k in range(3)]) - velocity
+            own = np.array([float(asking.start[f"velocity.{axis}"][row]) for axis in "xyz"])
+            relative = (own if np.isfinite(own).all() else 0.0) - velocity
             expected = [displacement @ axes[0], displacement @ axes[1], relative @ axes[0], relative @ axes[1]]
             assert np.allclose(
                 [columns.x[a, c], columns.y[a, c], columns.vx[a, c], columns.vy[a, c]], expected, rtol=1e-9, atol=1e-9
@@ -170,7 +176,6 @@ def test_the_nearest_of_all_species_on_their_side_are_those_to_keep_off(most: in
             assert np.isclose(columns.radius_sum[a, c], sum(radius if 0 < radius < np.inf else 0.0 for radius in radii))
             assert columns.first[a, c] == (asking.ids[row] < name_id if other is asking else asking.name < name)
     assert columns.is_present.sum() > 30 * min(most, 5)
-    assert not neighbourhood._nearest_others(world, asking, rows, within, count, None, plane).vx.any()
 
 
 PROGRAM = """species ant {

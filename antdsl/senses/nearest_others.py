@@ -1,0 +1,234 @@
+"""The nearest others of any species, for agents on a ground. The search visits the cells in reach, and lists the nearest in
+scratch memory of the thread. A full list is reduced to the nearest, which also reduces the reach."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from antdsl.limits import NEIGHBOURS
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I32,
+    I64,
+    Array1,
+    Array2,
+    as_bits,
+    as_float,
+    called,
+    independent,
+    inlined,
+    kernel,
+    load_consecutive,
+    scratch,
+)
+from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, cross, dot, finite_vector, flat, minus, unit_or_perpendicular
+from antdsl.senses.cell_order import agents_before
+from antdsl.senses.neighbours import BEYOND, LARGEST, SLACK, Grid, lower_cell, upper_cell
+
+SIZE = 576  # numbers in an array of a search
+_SPARE = 48  # more candidates than twice the requested others are listed before the list is reduced
+_ORDER_BITS = (1 << 29) - 1  # last bits of a float64 that are 0 if it is a float32
+
+
+class Crowd(NamedTuple):
+    """All agents of a grid, in the order of cells. In groups of four, 0 for what is not finite: `up` and the number by species
+    and id; velocity and radius in `motion`. `by_name`: for these numbers, those by the name of the species and id; empty for one
+    species."""
+
+    grid: Grid
+    up: Array1[F32]
+    motion: Array1[F32]
+    by_name: Array1[I32]
+
+
+class Requesters(NamedTuple):
+    """Agents that search: their positions in the order of cells, rows of their species, radius of the search (mm) and the largest
+    number of others. `heading`: of all rows of the species."""
+
+    positions: Array1[I32]
+    rows: Array1[I64]
+    within: Array1[F64]
+    most: Array1[F64]
+    heading: VectorColumns
+
+
+class Plane(NamedTuple):
+    """The ground of an agent: unit `up`, `ahead` along its heading and `left`."""
+
+    up: Vec3
+    ahead: Vec3
+    left: Vec3
+
+
+class SearchMemory(NamedTuple):
+    """Scratch memory of a search, `SIZE` numbers each: agents by their position in the order of cells, their keys and ranks by
+    distance; then the nearest in order, and their keys."""
+
+    candidates: Array1[I64]
+    keys: Array1[I64]
+    ranks: Array1[I64]
+    nearest: Array1[I64]
+    nearest_keys: Array1[I64]
+
+
+class Other(NamedTuple):
+    """Another agent in the plane of a requester, ahead and to the left: relative position (mm), own minus other velocity (mm/s),
+    and the sum of both radii."""
+
+    x: F64
+    y: F64
+    vx: F64
+    vy: F64
+    radius_sum: F64
+
+
+@inlined
+def plane_of(crowd: Crowd, requesters: Requesters, k: I64) -> Plane:
+    """Return the plane of requester k, as at the start of the step."""
+    x, y, z = requesters.heading
+    row, up = requesters.rows[k], sensed_vector(crowd.up, requesters.positions[k])
+    ahead = unit_or_perpendicular(flat(finite_vector(x[row], y[row], z[row]), up), up)
+    return Plane(up, ahead, cross(up, ahead))
+
+
+@inlined
+def sensed_vector(fours: Array1[F32], at: I64) -> Vec3:
+    """Return one of the vectors of a `Crowd`."""
+    x, y, z, _ = load_consecutive(fours, 4 * at, 4)
+    return np.float64(x), np.float64(y), np.float64(z)
+
+
+@inlined
+def clear_memory(memory: SearchMemory) -> None:
+    """Make every listed number the position of an agent."""
+    for p in range(SIZE):
+        memory.candidates[p], memory.nearest[p], memory.nearest_keys[p] = 0, 0, 0
+
+
+@called
+def find_nearest(crowd: Crowd, requesters: Requesters, k: I64, up: Vec3, memory: SearchMemory) -> I64:
+    """Write the nearest others of requester k on the side of the ground that is `up` to `memory.nearest`, ordered by distance,
+    species and id. Return how many."""
+    grid, at = crowd.grid, requesters.positions[k]
+    low, inverse, size = grid.low, grid.inverse, grid.size
+    x, y, z = grid.positions[0][at], grid.positions[1][at], grid.positions[2][at]
+    within, requested = requesters.within[k], requesters.most[k]
+    if not (within > 0.0 and requested >= 1.0 and math.isfinite(x) and math.isfinite(y) and math.isfinite(z)):
+        return 0
+    reach, most = np.float32(within), np.int64(requested if requested < float(NEIGHBOURS) else float(NEIGHBOURS))
+    a, b, c = np.float64(grid.along[0][at]), np.float64(grid.along[1][at]), np.float64(grid.along[2][at])
+    r = np.float64(reach) * SLACK + (1e-14 * max(max(abs(a), abs(b)), abs(c)) + 1e-18)
+    a0, a1 = lower_cell(a - r, low[0], inverse[0], size[0]), upper_cell(a + r, low[0], inverse[0], size[0])
+    b0, b1 = lower_cell(b - r, low[1], inverse[1], size[1]), upper_cell(b + r, low[1], inverse[1], size[1])
+    c0, c1 = 0, 0
+    if not (size[2] == 1 and abs(c - low[2]) <= grid.width[2]):
+        c0, c1 = lower_cell(c - r, low[2], inverse[2], size[2]), upper_cell(c + r, low[2], inverse[2], size[2])
+    count, capacity, beyond = 0, 2 * most + _SPARE, reach * reach * BEYOND + np.float32(1e-30)
+    for cz in range(c0, c1 + 1):
+        for cy in range(b0, b1 + 1):
+            line = (cz * size[1] + cy) * size[0]
+            first = agents_before(grid.starts, grid.keys, line + a0)
+            last = agents_before(grid.starts, grid.keys, line + max(a0, a1 + 1))
+            while first < last:
+                end = min(last, first + capacity - count)
+                for p in range(first, end):  # written whatever it is: no branch that is hard to foretell
+                    dx, dy, dz = grid.positions[0][p] - x, grid.positions[1][p] - y, grid.positions[2][p] - z
+                    memory.candidates[count] = p
+                    count += (dx * dx + dy * dy) + dz * dz <= beyond
+                first = end
+                if count + 8 > capacity:
+                    count = _select_nearest(crowd, at, reach, up, count, most, memory)
+                    for p in range(count):
+                        memory.candidates[p] = memory.nearest[p]
+                    if count == most:
+                        farthest = np.float32(as_float(memory.nearest_keys[most - 1] & ~_ORDER_BITS))
+                        beyond = farthest * farthest * BEYOND + np.float32(1e-30)
+    return _select_nearest(crowd, at, reach, up, count, most, memory)
+
+
+@called
+def _select_nearest(crowd: Crowd, at: I64, reach: F32, up: Vec3, count: I64, most: I64, memory: SearchMemory) -> I64:
+    """Write the nearest of the first `count` candidates of the agent at position `at` to `memory.nearest`; return how many."""
+    x, y, z, _ = load_consecutive(crowd.grid.fours, 4 * at, 4)
+    padded, good_count = max(count, (count + 5) & -8), 0
+    for p in independent(0, padded):
+        q: I64 = memory.candidates[p]
+        u, v, w, _ = load_consecutive(crowd.grid.fours, 4 * q, 4)
+        ux, uy, uz, number = load_consecutive(crowd.up, 4 * q, 4)
+        dx, dy, dz = u - x, v - y, w - z
+        length = np.sqrt((dx * dx + dy * dy) + dz * dz)
+        side = dot(up, (np.float64(ux), np.float64(uy), np.float64(uz)))
+        good = (p < count) & (length <= reach) & (q != at) & (side > 0.0)
+        memory.keys[p] = as_bits(np.float64(length)) | np.int64(number) if good else LARGEST
+    for p in independent(0, padded):
+        key, rank = memory.keys[p], 0
+        for q in range(count):
+            rank += memory.keys[q] < key
+        memory.ranks[p] = rank
+    for p in range(count):
+        memory.nearest[memory.ranks[p]], memory.nearest_keys[memory.ranks[p]] = memory.candidates[p], memory.keys[p]
+        good_count += memory.keys[p] < LARGEST
+    return min(good_count, most)
+
+
+@inlined
+def relative_to(crowd: Crowd, plane: Plane, at: I64, q: I64) -> Other:
+    """Return the agent at position q in the order of cells as the one at position `at` senses it."""
+    x, y, z, _ = load_consecutive(crowd.grid.fours, 4 * at, 4)
+    u, v, w, _ = load_consecutive(crowd.grid.fours, 4 * q, 4)
+    displacement = np.float64(u - x), np.float64(v - y), np.float64(w - z)
+    relative = minus(sensed_vector(crowd.motion, at), sensed_vector(crowd.motion, q))
+    return Other(
+        dot(displacement, plane.ahead),
+        dot(displacement, plane.left),
+        dot(relative, plane.ahead),
+        dot(relative, plane.left),
+        np.float64(crowd.motion[4 * at + 3]) + np.float64(crowd.motion[4 * q + 3]),
+    )
+
+
+@inlined
+def side_by_name(crowd: Crowd, at: I64, key: I64) -> F64:
+    """Return -1 if the agent at a position comes before the one with a key by the name of the species and id, else 1."""
+    own, other = np.int64(crowd.up[4 * at + 3]), key & _ORDER_BITS
+    if crowd.by_name.size > 0:
+        own, other = crowd.by_name[own], crowd.by_name[other]
+    return -1.0 if own < other else 1.0
+
+
+@kernel
+def store_sensed(
+    at: Array1[I32], up: VectorColumns, velocity: VectorColumns, radius: Array1[F32], numbers: Array1[I32],
+    ordered: Array1[F32], motion: Array1[F32], begin: I64, end: I64,
+) -> None:  # fmt: skip
+    """Write `up` and `motion` of a `Crowd`, for rows from the `begin`-th to before the `end`-th."""
+    for row in range(begin, end):
+        first, wide = 4 * at[row], np.isfinite(radius[row]) & (radius[row] > np.float32(0.0))
+        u = finite_vector(up[0][row], up[1][row], up[2][row])
+        v = finite_vector(velocity[0][row], velocity[1][row], velocity[2][row])
+        for axis in range(3):
+            ordered[first + axis], motion[first + axis] = np.float32(u[axis]), np.float32(v[axis])
+        ordered[first + 3], motion[first + 3] = np.float32(numbers[row]), radius[row] if wide else np.float32(0.0)
+
+
+@kernel
+def fill_offsets(
+    crowd: Crowd, requesters: Requesters, x: Array2[F64], y: Array2[F64], is_present: Array2[BOOL], axes: Array2[F64],
+    begin: I64, end: I64,
+) -> None:  # fmt: skip
+    """Write the relative positions of the nearest others to rows of `x` ahead and `y` to the left, and these directions to `axes`
+    (6, n), for requesters from the `begin`-th to before the `end`-th."""
+    memory = SearchMemory(scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64), scratch(SIZE, I64))
+    clear_memory(memory)
+    for k in range(begin, end):
+        plane, at = plane_of(crowd, requesters, k), requesters.positions[k]
+        axes[0, k], axes[1, k], axes[2, k] = plane.ahead
+        axes[3, k], axes[4, k], axes[5, k] = plane.left
+        for c in range(find_nearest(crowd, requesters, k, plane.up, memory)):
+            other = relative_to(crowd, plane, at, memory.nearest[c])
+            x[k, c], y[k, c], is_present[k, c] = other.x, other.y, True
