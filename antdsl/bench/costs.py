@@ -1,5 +1,5 @@
-"""What a process that measures is asked, and what it answers, as plain values that go through JSON; and a job in a process of
-its own: its memory and its start-up are nobody else's."""
+"""Requests to measuring processes and their results, as plain values that are sent as JSON; and a job in a separate process,
+which shares its memory and its start-up with no other job."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class SetUp:
     """CPU seconds until the first frame, and to have machine code after it.
 
     Until the first frame: `start`: Python and packages. `compile`: from the texts to a plan and meshes. `bind`: to a world.
-    `first`: the first step. After it: `code`: to build machine code that no run has cached. `kept`: to load cached machine code
+    `first`: the first step. After it: `code`: to build machine code that no run has cached; then to load cached machine code
     (None for a backend without machine code, or if no folder can store it). `second`: the second step, the first one in machine
     code."""
 
@@ -103,7 +103,7 @@ class Measurement:
 
     Of the first backend: `set_up`; `memory`: the largest growth of the process in bytes, from before the binding; `full_run`;
     `counts` of one step (see `counting`). `state`: bytes of all stored values of agents. `nodes`: number of nodes of the plan.
-    `neighbours`: mean number of others within the case's sight after the last step. `told`: messages about deviations from the
+    `neighbours`: mean number of others within the case's sight after the last step. The messages report deviations from the
     request, for example that NumPy ran instead of machine code. Each message begins with the name of its backend."""
 
     job: Job

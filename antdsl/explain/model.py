@@ -136,7 +136,7 @@ class NearObject:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSet:
-    """The content of a set: `asked` is its text, `count` its size, `nearest` the nearest members."""
+    """The content of a set: its text in the program, its size `count`, and its `nearest` members."""
 
     asked: str
     of: str

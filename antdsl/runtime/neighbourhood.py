@@ -1,7 +1,7 @@
-"""The neighbourhood of an agent in the plane of its own ground: for the velocity by which it meets nobody, and for the widest
-gap; and the cell grids by which neighbours are found.
+"""The neighbourhood of an agent in the tangent plane of its ground: for the velocity that avoids all neighbours, and for the
+widest gap; and the cell grids that find neighbours.
 
-Vectors of the plane are given by their parts ahead and to the left."""
+Vectors in the plane have two components: ahead and to the left."""
 
 from __future__ import annotations
 

@@ -23,8 +23,8 @@ _NUMBER = re.compile(NUMBER)
 
 
 class Judge:
-    """`look` at each frame from the first on, until `over`. `failures`: in order of detection. `rival`: the reference run that
-    the spec compares with."""
+    """Call `look` for each frame from the first on, until `over`. `failures` are in order of detection. A spec that compares runs
+    also has the reference run."""
 
     def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ComparedRun | None = None) -> None:
         self.plan, self.first, self.rival = plan, world.frame, compared_run

@@ -1,5 +1,5 @@
-"""Counts what a file holds, before the costly work of parsing and checking it; and how deep a tree is, without recursion:
-whoever walks a tree afterwards may recurse."""
+"""Counts the elements of a file before it is parsed and checked, which costs more; and measures the depth of a tree without
+recursion, so that later code may walk the tree recursively."""
 
 from __future__ import annotations
 
