@@ -32,7 +32,7 @@ def counted(cases: Sequence[str] = ()) -> Counts:
     from antdsl.machine_code import machine
     from antdsl.runtime.backends import BACKENDS
 
-    left_out = {"reference"}  # nobody waits for the definition's speed
+    left_out = {"reference"}  # its speed does not matter
     if not machine.is_available():
         left_out.add("native")  # which would run what NumPy runs
     counts_by_case = {}

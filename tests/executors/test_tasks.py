@@ -1,4 +1,4 @@
-"""How tasks are handed out: lazily, whom a broken executor is blamed on, what is told of one that fails."""
+"""How tasks are handed out: lazily; which task a broken executor is blamed on; messages about one that fails."""
 
 from __future__ import annotations
 

@@ -36,7 +36,7 @@ from antdsl.syntax.verbs import VERBS
 from antdsl.syntax.words import WORLD_KINDS
 
 OF_THE_AGENT = {"id", "age", "draw", "draw.agent", "event", "surface.touching"}  # what a step knows of it already
-OF_OTHERS = {"agent.get", "agent.age", "agent.alive", "item.get", "item.alive"}  # references, asked by the way
+OF_OTHERS = {"agent.get", "agent.age", "agent.alive", "item.get", "item.alive"}  # references, queried in passing
 
 
 def test_every_sense_has_an_operation_and_a_function() -> None:
