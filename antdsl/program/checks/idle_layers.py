@@ -1,4 +1,4 @@
-"""Lines of `layers` that no strength is ever left for, or that have a condition that never holds."""
+"""Reports lines of `layers` that never have any strength left, or have a condition that never holds."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _check_priorities(reader: ConditionReader, species: Species, report: Report)
 
 
 def _min_layer_strength(species: Species, layer: Layer) -> float:
-    """The least length of a layer's push that is known for certain."""
+    """Return the smallest possible length of a layer's push."""
     if layer.push is not None:
         return strength(layer.push)
     if len(species.machines) != 1:
