@@ -181,7 +181,7 @@ class _ItemReader:
         return Block(item_list, self.is_one_line(group, item_list, head), head)
 
     def is_one_line(self, group: Group, item_list: list[Item], head: str | None) -> bool:
-        """Return whether a block may be on one line: no statement in it begins a line or needs separate lines."""
+        """Return whether a block may be on one line: it has no line ends or comments, and no part of it needs separate lines."""
         if not item_list and head is None:
             return True
         for item in item_list:

@@ -97,8 +97,8 @@ def reads(expr: Expr, own: Own) -> bool:
 
 
 def _grows_with_time(power: float, value: Expr) -> bool:
-    """Return whether a value grows with time. With a new draw in each step, the variance grows with time and the deviation with
-    its root."""
+    """Return whether a value grows with time. If each step draws again, its variance grows with time, its deviation as the
+    root."""
     if power == math.inf or math.isclose(power, 1):
         return True
     return math.isclose(power, 0.5) and any(isinstance(part, Op) and part.name in DRAWS for part in parts(value))
