@@ -97,8 +97,7 @@ def reads(expr: Expr, own: Own) -> bool:
 
 
 def _grows_with_time(power: float, value: Expr) -> bool:
-    """Return whether a value grows with time. If each step draws again, its variance grows with time, its deviation as the
-    root."""
+    """Return whether a value grows with time. With a draw in each step, its deviation grows as the root of time."""
     if power == math.inf or math.isclose(power, 1):
         return True
     return math.isclose(power, 0.5) and any(isinstance(part, Op) and part.name in DRAWS for part in parts(value))
