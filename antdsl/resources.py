@@ -1,5 +1,5 @@
-"""Locations of the files that come with antdsl: the grammar, the behaviour library, the code pages, the preview's page, examples.
-Only this module knows them."""
+"""Locations of the files that come with antdsl: the grammar, the behaviour library, the code pages, the preview's page, examples,
+the files of a new project. Only this module knows them."""
 
 from __future__ import annotations
 
@@ -44,6 +44,11 @@ def library_file(name: str) -> Path | None:
 def example_file(name: str) -> Path:
     """A file of the examples that ship with the package, such as `foraging/scene.yaml`: those that `antdsl bench` measures."""
     return _folder("examples") / name
+
+
+def project_file(name: str) -> Path:
+    """A file of the project that `antdsl new` writes."""
+    return _PACKAGE / "cli" / "project" / name
 
 
 def benchmark_file(name: str) -> Path | None:

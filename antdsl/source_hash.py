@@ -12,7 +12,7 @@ from antdsl.bounded import read_bounded
 from antdsl.limits import MIB
 from antdsl.resources import behaviours_folder, grammar_folder
 
-_ENDINGS = (".py", ".ant", ".json", ".lark")  # what a result may depend on
+_ENDINGS = (".py", ".ll", ".ant", ".json", ".lark")  # what a result may depend on
 _SKIPPED = frozenset(["_data", "page", "web", "__pycache__"])
 
 

@@ -1,5 +1,7 @@
 """Rotations that stand bodies on the ground, and normals of meshes."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,6 +20,15 @@ def vertex_normals(vertices: Array, faces: NDArray[np.int32]) -> NDArray[np.floa
     length = np.linalg.norm(total, axis=1, keepdims=True)
     total = np.where(length > 1e-20, total / np.maximum(length, 1e-20), np.array([0.0, 1.0, 0.0]))
     return total.astype(np.float32)
+
+
+def unit_normals(normals: NDArray[Any], tolerance: float = 0.0) -> NDArray[np.float32]:
+    """Return normals (n, 3) scaled to length 1, unless their length differs from 1 by `tolerance` at most; a normal without
+    length becomes +y."""
+    wide = normals.astype(np.float64)
+    length = np.sqrt((wide * wide).sum(axis=1, keepdims=True))
+    scaled = np.where(np.abs(length - 1.0) > tolerance, wide / np.maximum(length, 1e-12), wide)
+    return np.where(length > 1e-12, scaled, np.array([0.0, 1.0, 0.0])).astype(np.float32)
 
 
 def orientation(heading: Array, up: Array) -> Array:

@@ -6,23 +6,8 @@ import numpy as np
 
 from antdsl.casting.faces import evaluate_direction, evaluate_point
 from antdsl.casting.tolerances import CLOSED, FAR_OFF, FURTHER, LONGEST, NOTHING, SHORTEST
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I32,
-    I64,
-    Array1,
-    Array2,
-    Array3,
-    Strided2,
-    called,
-    fetch_ahead,
-    inlined,
-    kernel,
-    nearest_integer,
-    scratch,
-)
+from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, nearest_integer, scratch
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2, Array3, Strided2
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus, of
 
 # As `TriangleGrid.tables`.

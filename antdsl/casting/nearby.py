@@ -15,10 +15,10 @@ from antdsl.casting.distance_grid import DistanceGrid
 from antdsl.casting.faces import Faces
 from antdsl.casting.tolerances import TOUCHING
 from antdsl.casting.triangle_grid import Arrays, Tables, TriangleGrid
+from antdsl.numerics.vectors import Columns
 
 Vectors = NDArray[np.float64]
 Index = NDArray[np.int64]
-Columns = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
 
 Ask = tuple[NDArray[np.bool_], Arrays, Arrays]  # who of n asks, operands and results of n each
 
@@ -90,34 +90,26 @@ class ProximityQueries:
         corners = self._faces.corners + self.origin
         return DistanceGrid(corners, _BRIEF_CELLS, False) if self._brief else DistanceGrid(corners, lasting=self._lasting)
 
-    def cast_feelers(
-        self,
-        x: NDArray[Any],
-        y: NDArray[Any],
-        z: NDArray[Any],
-        dx: NDArray[Any],
-        dy: NDArray[Any],
-        dz: NDArray[Any],
-        reach: NDArray[Any] | float,
-        threads: int = 1,
-    ) -> FeelerHits:
-        """Return the hits within `reach` (mm, one or float[n]) of positions along unit directions, all 1-D arrays of one length.
+    def cast_feelers(self, positions: Columns, directions: Columns, reach: NDArray[Any] | float, threads: int = 1) -> FeelerHits:
+        """Return the hits within `reach` (mm, one or float[n]) of positions (x y z) along unit directions (x y z), all 1-D arrays
+        of one length.
 
         Agents too far from everything to touch it are skipped (performance: most agents), with the same result."""
-        n = len(x)
+        (x, y, z), (dx, dy, dz) = positions, directions
         if np.ndim(reach) == 0 or reach.dtype != np.float32:  # type: ignore[union-attr]
-            reach = np.broadcast_to(np.asarray(reach, np.float32), (n,))
+            reach = np.broadcast_to(np.asarray(reach, np.float32), (len(x),))
         assert isinstance(reach, np.ndarray)
-        grid = self._grid_for((x, y, z, dx, dy, dz))
+        rays = (x, y, z, dx, dy, dz)
+        grid = self._grid_for(rays)
         if grid is not None:
             results, left = grid.cast_feelers((x, y, z), (dx, dy, dz), reach)
             if left:
                 unknown_rows = np.flatnonzero(np.isnan(results[0]))
-                rays = tuple(each.take(unknown_rows) for each in (x, y, z, dx, dy, dz))
-                results[0, unknown_rows], results[1:, unknown_rows] = self._cast_rays(rays, reach.take(unknown_rows), threads)
+                unknown = tuple(each.take(unknown_rows) for each in rays)
+                results[0, unknown_rows], results[1:, unknown_rows] = self._cast_rays(unknown, reach.take(unknown_rows), threads)
             t, normal = results[0], results[1:]
         else:
-            t, normal = self._cast_rays((x, y, z, dx, dy, dz), reach, threads)
+            t, normal = self._cast_rays(rays, reach, threads)
         return FeelerHits(t < np.inf, t, *normal)
 
     def feel_batch(self, positions: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
@@ -152,7 +144,7 @@ class ProximityQueries:
         x, y, z, dx, dy, dz = rays
         t = np.full(len(x), np.inf, np.float32)
         normal = np.zeros((3, len(x)), np.float32)
-        near = self._select_reachable(x, y, z, dx, dy, dz, reach)
+        near = self._select_reachable(rays, reach)
         if near.size:
             length = reach.take(near)
             origin, displacement = np.empty((3, near.size)), np.empty((3, near.size))
@@ -218,21 +210,13 @@ class ProximityQueries:
         out = np.where(touching[:, None], normal, away * (side / np.maximum(distance, TOUCHING))[:, None])
         return (distance * side).astype(np.float32), np.ascontiguousarray(out.T, np.float32)
 
-    def _select_reachable(
-        self,
-        x: NDArray[Any],
-        y: NDArray[Any],
-        z: NDArray[Any],
-        dx: NDArray[Any],
-        dy: NDArray[Any],
-        dz: NDArray[Any],
-        reach: NDArray[Any],
-    ) -> NDArray[np.int64]:
+    def _select_reachable(self, rays: Arrays, reach: NDArray[Any]) -> NDArray[np.int64]:
         """Return the rays that may hit: those with a ball around the feeler's middle that is not known to be empty."""
         if self._empty:
             return np.empty(0, np.int64)
         if self._grid is None:
             self._grid = self._distance_grid()
+        x, y, z, dx, dy, dz = rays
         half = reach * np.float32(0.5)
         least = self._grid.lower_bounds(x + dx * half, y + dy * half, z + dz * half)
         return np.flatnonzero(least <= half * np.float32(1 + 1e-4) + np.float32(1e-4))

@@ -8,20 +8,8 @@ import numpy as np
 from antdsl.casting.faces import nearest_on, squared_length
 from antdsl.casting.grid_rays import Grid, Three
 from antdsl.casting.tolerances import BEYOND, FURTHER, RINGS, TOUCHING, UNSURE
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I64,
-    Array1,
-    Array2,
-    Strided2,
-    called,
-    fetch_ahead,
-    inlined,
-    kernel,
-    nearest_integer,
-)
+from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, nearest_integer
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I64, Array1, Array2, Strided2
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, minus
 
 _FETCHED = 12  # prefetched faces of a row of cubes

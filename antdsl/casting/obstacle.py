@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from antdsl.casting.nearby import Ask, FeelerHits
 from antdsl.casting.triangle_grid import Arrays
+from antdsl.numerics.vectors import Columns
 
 
 class Obstacle(Protocol):
@@ -19,18 +20,8 @@ class Obstacle(Protocol):
     def clearance(self, x: NDArray[Any], y: NDArray[Any], z: NDArray[Any], threads: int = 1) -> NDArray[np.float32]:
         """Return a distance (float32[n]) within which positions have no surface; 0 when near."""
 
-    def cast_feelers(
-        self,
-        x: NDArray[Any],
-        y: NDArray[Any],
-        z: NDArray[Any],
-        dx: NDArray[Any],
-        dy: NDArray[Any],
-        dz: NDArray[Any],
-        reach: NDArray[Any] | float,
-        threads: int = 1,
-    ) -> FeelerHits:
-        """Return what lies within `reach` (one or float[n]) of positions along unit directions."""
+    def cast_feelers(self, positions: Columns, directions: Columns, reach: NDArray[Any] | float, threads: int = 1) -> FeelerHits:
+        """Return what lies within `reach` (one or float[n]) of positions (x y z) along unit directions (x y z)."""
 
     def feel_batch(self, positions: Arrays, asks: Sequence[Ask], threads: int = 1) -> list[tuple[int, NDArray[np.intp]]]:
         """Write what feelers touch, for several requests together, each by some of n agents. `positions`: x y z, and the distance

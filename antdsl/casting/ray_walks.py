@@ -19,21 +19,8 @@ from numpy.typing import NDArray
 from antdsl.casting.faces import evaluate_direction, evaluate_point, nearest_on
 from antdsl.casting.grid_rays import Grid
 from antdsl.casting.tolerances import NOTHING, UNSURE
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I32,
-    I64,
-    Array1,
-    Array2,
-    Array3,
-    called,
-    fetch_ahead,
-    inlined,
-    kernel,
-    nearest_integer,
-)
+from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, nearest_integer
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2, Array3
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.kernel_vectors import Vec3, cross, dot, minus, plus
 

@@ -54,7 +54,6 @@ class TriangleGrid:
         first, listed = lists["first"], lists["listed"]
         normals = faces.normals(np.arange(len(corners)))
         off = 1e-6 * (float(np.abs(corners).max()) + (LONGEST + RINGS) * width)  # several times what float32 makes of it
-        self._hair = faces.hair
         self.tables: Tables = (
             np.array([*low, width, off, faces.hair, *origin]),  # the grid's lowest corner and the world's place of its zero
             size,

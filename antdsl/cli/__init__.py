@@ -185,9 +185,8 @@ def _require_text(words: list[str]) -> None:
             from antdsl.diagnostics.model import printable
 
             display_name = printable(os.fsencode(word).decode(errors="backslashreplace"))
-            raise CommandError(
-                ExitCode.USAGE, f"error: the name `{display_name}` is not UTF-8", "rename the file or folder"
-            ) from None
+            message = f"error: the name `{display_name}` is not UTF-8"
+            raise CommandError(ExitCode.USAGE, message, "rename the file or folder") from None
 
 
 def _require_order(words: list[str]) -> None:
@@ -195,11 +194,8 @@ def _require_order(words: list[str]) -> None:
     own = words[: words.index("--")] if "--" in words else words
     if "--trust-usd" in own and not own[0].startswith("-"):
         rest = [word for word in words if word != "--trust-usd"]
-        raise CommandError(
-            ExitCode.USAGE,
-            "error: write `--trust-usd` before the command",
-            f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}",
-        )
+        message = "error: write `--trust-usd` before the command"
+        raise CommandError(ExitCode.USAGE, message, f"write: {shlex.join(['antdsl', '--trust-usd', *rest])}")
 
 
 def _command() -> int:

@@ -101,7 +101,6 @@ def parse_shutter(text: str | None, flag: str = "--shutter") -> tuple[float, flo
         raise typer.BadParameter(f"`{text}` is not a time: write `-0.25..0.25`, in frames", param_hint=flag)
     first, last = float(match[1]), float(match[2])
     if not -1 <= first < last <= 1 or last - first > 1:
-        raise typer.BadParameter(
-            f"`{text}` is not open for at most one frame, from -1 to 1; write `-0.25..0.25`", param_hint=flag
-        )
+        words = f"`{text}` is not open for at most one frame, from -1 to 1; write `-0.25..0.25`"
+        raise typer.BadParameter(words, param_hint=flag)
     return first, last

@@ -32,15 +32,10 @@ def body(
         None,
         "--to",
         metavar="FILE",
-        show_default=False,
         help="Write it: a .glb or .gltf file, or a .json definition with the folder of its parts beside it.",
     ),
     layer: str = typer.Option(
-        "",
-        "--layer",
-        metavar="NAME",
-        help="For .glb and .gltf: the layer of shapes to write. [default: the drawn one]",
-        show_default=False,
+        "", "--layer", metavar="NAME", help="For .glb and .gltf: the layer of shapes to write. [default: the drawn one]"
     ),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print findings only."),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant a folder outside the file's own."),
@@ -79,8 +74,7 @@ def body(
 
 def _write_body(body: Definition, source: Path, to: Path, layer: str, quiet: bool) -> None:
     """Write a definition as another kind of file, and report what is left out."""
-    from antdsl.bodies.files.definition_written import definition_files
-    from antdsl.bodies.files.gltf_written import write_gltf
+    from antdsl.bodies.files.writing import definition_files, write_gltf
     from antdsl.bodies.posed_body import own_layer
     from antdsl.cli.destinations import protect_inputs, require_writable_file, require_writable_folder
     from antdsl.whole import make_folder, write_atomically

@@ -30,7 +30,6 @@ def check(
         None,
         help="Files (.ant, .yaml), folders, or patterns such as 'shots/**/*.ant'; - reads a program from standard input. "
         "[default: this folder]",
-        show_default=False,
     ),
     format: Format = typer.Option(Format.full, "--format", help="Format of the findings."),
     strict: bool = typer.Option(False, "--strict", help="Count warnings as errors."),

@@ -75,11 +75,8 @@ def require_writable_folder(path: Path | None, flag: str, *names: str) -> None:
         return
     existing_parent = next(each for each in (path.absolute(), *path.absolute().parents) if os.path.lexists(each))
     if not existing_parent.is_dir():
-        raise CommandError(
-            ExitCode.INPUT_OUTPUT,
-            f"error: `{existing_parent}` is a file, but a folder is needed there",
-            f"name another with `{flag}`",
-        )
+        message = f"error: `{existing_parent}` is a file, but a folder is needed there"
+        raise CommandError(ExitCode.INPUT_OUTPUT, message, f"name another with `{flag}`")
     for name in names:
         if (path / name).is_dir():
             words = f"error: `{path / name}` is a folder, but a file is needed there"

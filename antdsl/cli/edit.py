@@ -7,7 +7,7 @@ from pathlib import Path
 import typer
 
 from antdsl.cli.destinations import default_path, protect_inputs, require_writable_folder
-from antdsl.cli.exits import CommandError, ExitCode, report_failures
+from antdsl.cli.exits import explain_cache_errors, report_failures
 from antdsl.cli.printing.messages import print_note
 
 
@@ -21,48 +21,23 @@ def edit(
         help="Replace orientations by means over N frames, centred on each frame; positions stay unchanged.",
     ),
     out: Path = typer.Option(
-        None,
-        "--out",
-        metavar="DIR",
-        help="Folder of the new cache. [default: CACHE_edited beside the old one]",
-        show_default=False,
+        None, "--out", metavar="DIR", help="Folder of the new cache. [default: CACHE_edited beside the old one]"
     ),
     force: bool = typer.Option(False, "--force", help="Write even into a folder that has other files."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print problems only."),
 ) -> None:
     """Write a copy of a cache with its orientations smoothed over time."""
-    from antdsl.outputs.cache.cache_reader import NAMES, CacheError, open_cache
-    from antdsl.outputs.cache.cache_writer import ForeignFolder, PathBlocked
-    from antdsl.outputs.cache.lock import FolderLocked
-    from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.editing import NotEditable, smooth_orientations
-    from antdsl.outputs.provenance import resume_command
+    from antdsl.outputs.cache.cache_reader import NAMES, open_cache
+    from antdsl.outputs.editing import smooth_orientations
 
     width = _parse_width(smooth)
     folder = out if out is not None else default_path(cache.parent, f"{cache.resolve().name}_edited")
     require_writable_folder(folder, "--out")
-    try:
+    with explain_cache_errors(cache):
         with protect_inputs({}, {"--out": (folder, NAMES)}) as inputs:
             read = open_cache(cache)
             inputs += [*read.source_files(), *(cache / name for name in NAMES)]
         count = sum(1 for _ in smooth_orientations(read, folder, width, force=force))
-    except ManifestError as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
-    except CacheError as why:
-        raise CommandError(
-            ExitCode.INPUT_OUTPUT, f"error: {why}", f"to compute damaged frames again: {resume_command(cache)}"
-        ) from None
-    except NotEditable as why:
-        raise CommandError(
-            ExitCode.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again"
-        ) from None
-    except ForeignFolder as why:
-        words = "name another folder with `--out`, or write into it anyway with `--force`"
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", words) from None
-    except PathBlocked as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
-    except FolderLocked as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
     if not quiet:
         print_note(f"{count} frames, orientations smoothed over {width}, are in {folder}")
 

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 from enum import IntEnum
 from errno import EAGAIN, ENOMEM
 from math import inf
+from pathlib import Path
 
 from antdsl import limits
 
@@ -99,6 +100,50 @@ def report_failures(what: str, again: str = AGAIN) -> Iterator[None]:
         if cause is None:
             raise
         raise failure_error(cause, what, again) from None
+
+
+@contextmanager
+def explain_cache_errors(cache: Path | None = None, again: str = "to compute damaged frames again") -> Iterator[None]:
+    """End the command with advice when a cache cannot be read or written. `again`: introduces the command that computes damaged
+    frames of `cache` again."""
+    try:
+        yield
+    except Exception as why:
+        code, advice = _cache_advice(why)
+        if code is ExitCode.BUG:
+            raise
+        if cache is not None and not advice:
+            from antdsl.outputs.provenance import resume_command
+
+            advice = f"{again}: {resume_command(cache)}"
+        raise CommandError(code, f"error: {why}", advice) from None
+
+
+def _cache_advice(why: Exception) -> tuple[ExitCode, str]:
+    """Return the exit code for an error of a cache, and what to do about it; BUG for any other error. Damaged frames have no
+    advice here: it names the command that made them."""
+    from antdsl.outputs.cache.cache_reader import CacheError
+    from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
+    from antdsl.outputs.cache.lock import FolderLocked
+    from antdsl.outputs.cache.manifest import ManifestError
+    from antdsl.outputs.editing import NotEditable
+    from antdsl.outputs.gallery import NoPicture
+    from antdsl.outputs.recording import NothingToResume
+
+    attribute = "add it to `output: {attributes: …}` of the scene and run again"
+    rows: dict[type[Exception], tuple[ExitCode, str]] = {
+        ManifestError: (ExitCode.INPUT_OUTPUT, "name the folder that `antdsl run` printed"),
+        CacheError: (ExitCode.INPUT_OUTPUT, ""),
+        NotEditable: (ExitCode.FINDINGS, attribute),
+        NoPicture: (ExitCode.FINDINGS, attribute),
+        ForeignFolder: (ExitCode.INPUT_OUTPUT, "name another folder with `--out`, or write into it anyway with `--force`"),
+        PathBlocked: (ExitCode.INPUT_OUTPUT, "move it away, or name another folder with `--out`"),
+        FolderLocked: (ExitCode.INPUT_OUTPUT, "wait for it, or name another folder with `--out`"),
+        DifferentInputs: (ExitCode.FINDINGS, "restore the same inputs, or run without `--resume` to start again"),
+        DifferentHashes: (ExitCode.FINDINGS, "run without `--resume` to begin again"),
+        NothingToResume: (ExitCode.INPUT_OUTPUT, "run without `--resume` to begin again"),
+    }
+    return rows.get(type(why), (ExitCode.BUG, ""))
 
 
 def as_machine_failure(problem: Exception) -> OSError | MemoryError | None:

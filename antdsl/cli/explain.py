@@ -6,7 +6,7 @@ from pathlib import Path
 
 import typer
 
-from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.exits import CommandError, ExitCode, explain_cache_errors
 from antdsl.cli.printing.messages import print_result
 
 
@@ -25,19 +25,13 @@ def explain(
     from antdsl.explain import ExplainError, as_json, tell
     from antdsl.explain import explain as explained
     from antdsl.numerics.host import cores
-    from antdsl.outputs.cache.cache_reader import CacheError, open_cache
-    from antdsl.outputs.cache.manifest import ManifestError
-    from antdsl.outputs.provenance import resume_command
+    from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.runtime import BindError
 
+    grants = parse_grants(root)
     try:
-        explanation = explained(
-            open_cache(cache), agent, frame, species=species, scene=scene, grants=parse_grants(root), threads=cores()
-        )  # fmt: skip
-    except ManifestError as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
-    except CacheError as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", f"to compute it again: {resume_command(cache)}") from None
+        with explain_cache_errors(cache, "to compute it again"):
+            explanation = explained(open_cache(cache), agent, frame, species=species, scene=scene, grants=grants, threads=cores())
     except BindError as why:
         exit_on_errors(why.report)
         raise CommandError(ExitCode.FINDINGS) from None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from antdsl.cli.destinations import protect_inputs, require_writable_file, require_writable_folder
-from antdsl.cli.exits import CommandError, ExitCode, report_failures
+from antdsl.cli.exits import CommandError, ExitCode, explain_cache_errors, report_failures
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, require_scheduler, run_cache_tasks
 from antdsl.whole import make_folder, sync_files
@@ -58,45 +58,27 @@ def export(
         None,
         "--as",
         metavar="WORD",
-        show_default=False,
         help="USD: instances, xforms, meshes; .csv: keyframes, events; .npz: arrays, poses, volume, events; .ply: meshes, solids",
     ),
-    ids: str = typer.Option(
-        None, "--ids", metavar="3,8..12", help="Export only these agents. [default: all]", show_default=False
-    ),
-    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frames to export. [default: all]", show_default=False),
+    ids: str = typer.Option(None, "--ids", metavar="3,8..12", help="Export only these agents. [default: all]"),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frames to export. [default: all]"),
     skeletons: int = typer.Option(
         None,
         "--skeletons",
         metavar="N",
         min=0,
         max=100_000,
-        show_default=False,
         help="Of USD: up to N agents of a species have a skeleton each, more are instances of a bank of poses. [default: 200]",
     ),
     shutter: str = typer.Option(
-        None,
-        "--shutter",
-        metavar="A..B",
-        show_default=False,
-        help="USD: add samples around each frame, from A to B, for motion blur.",
+        None, "--shutter", metavar="A..B", help="USD: add samples around each frame, from A to B, for motion blur."
     ),
-    samples: int = typer.Option(
-        None, "--samples", metavar="N", min=2, max=33, show_default=False, help="Number of such samples. [default: 3]"
-    ),
+    samples: int = typer.Option(None, "--samples", metavar="N", min=2, max=33, help="Number of such samples. [default: 3]"),
     chunk: int = typer.Option(
-        None,
-        "--chunk",
-        metavar="N",
-        min=1,
-        max=100_000,
-        show_default=False,
-        help="Of USD: values of N frames to a file. [default: one]",
+        None, "--chunk", metavar="N", min=1, max=100_000, help="Of USD: values of N frames to a file. [default: one]"
     ),
-    copies: bool = typer.Option(
-        None, "--copies", show_default=False, help="Of USD: agents with skeletons are no instances, as Blender needs them."
-    ),
-    close: bool = typer.Option(None, "--close", show_default=False, help="USD: write bodies in close-up quality."),
+    copies: bool = typer.Option(None, "--copies", help="Of USD: agents with skeletons are no instances, as Blender needs them."),
+    close: bool = typer.Option(None, "--close", help="USD: write bodies in close-up quality."),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
     no_tls: bool = NO_TLS,
@@ -104,12 +86,10 @@ def export(
 ) -> None:
     """Write a cache for other programs: USD (needs the extra [usd]), glTF, points for Houdini, tables, arrays, meshes."""
     from antdsl.cli.arguments import parse_frame_range, parse_number_set, parse_shutter
-    from antdsl.outputs.cache.cache_reader import CacheError, open_cache
-    from antdsl.outputs.cache.manifest import ManifestError
+    from antdsl.outputs.cache.cache_reader import open_cache
     from antdsl.outputs.exports import EXPORTS, AgentSubset, export_for
-    from antdsl.outputs.gallery import Gallery, NoPicture
+    from antdsl.outputs.gallery import Gallery
     from antdsl.outputs.numbered_files import NoExport
-    from antdsl.outputs.provenance import resume_command
     from antdsl.scene.geometry.usd import UsdError
     from antdsl.shots.exports import export_tasks
 
@@ -147,58 +127,46 @@ def export(
         raise typer.BadParameter("state the range of the samples: `--shutter -0.25..0.25`", param_hint="--samples")
     if scheduler and word not in export.each:
         spread = ", ".join(f"`{each.endings[0]}`" for each in EXPORTS if each.each)
-        raise typer.BadParameter(
-            f"`{to.name}` as `{word}` is one file, which is written here; {spread} have a file for each frame",
-            param_hint="--scheduler",
-        )
+        message = f"`{to.name}` as `{word}` is one file, which is written here; {spread} have a file for each frame"
+        raise typer.BadParameter(message, param_hint="--scheduler")
     options = (export.options[word](**set_options),) if word in export.options else ()
     if word in export.each or not to.absolute().parent.is_dir():
         require_writable_folder(to.parent, "--to")
     else:
         require_writable_file(to, "--to")
     try:
-        opened_cache = open_cache(cache)
-        cache_frames = [f for f in opened_cache.frames() if between is None or between.first <= f <= between.last]
-        if not cache_frames:
-            raise CommandError(
-                ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has"
-            )
-        paths = export.paths(word, to, cache_frames)
-        if word in export.each:
-            require_writable_folder(to.parent, "--to", *(path.name for path in paths))
-            with protect_inputs({}, {"--to": (to.parent, [path.name for path in paths])}) as inputs:
-                inputs += opened_cache.source_files()
-        else:
-            with protect_inputs({"--to": to}) as inputs:
-                inputs += opened_cache.source_files()
-        gallery = Gallery(opened_cache if chosen is None else AgentSubset(opened_cache.folder, opened_cache.manifest, chosen))
-        make_folder(to.parent)
-        notes: Sequence[str] | None
-        if scheduler:
-            where = scheduler, tls, no_tls
-            task_answers = run_cache_tasks(
-                where,
-                cache,
-                to.parent,
-                lambda real_cache, place: export_tasks(real_cache, to.name, word, chosen, cache_frames, place),
-            )
-            notes = tuple(dict.fromkeys(note for answered in task_answers for note in answered.notes))
-        else:
-            notes = export.forms[word](gallery, cache_frames, to, *options)
-        if word in export.each:
-            sync_files(paths)
-        unknown = None if chosen is None else _describe_unknown_ids(opened_cache, cache_frames, chosen)
-        notes = [*(notes or ()), *([] if unknown is None else [unknown])]
-    except ManifestError as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
-    except CacheError as why:
-        raise CommandError(
-            ExitCode.INPUT_OUTPUT, f"error: {why}", f"this makes damaged frames again: {resume_command(cache)}"
-        ) from None
-    except NoPicture as why:
-        raise CommandError(
-            ExitCode.FINDINGS, f"error: {why}", "add it to `output: {attributes: …}` of the scene and run again"
-        ) from None
+        with explain_cache_errors(cache, "this makes damaged frames again"):
+            opened_cache = open_cache(cache)
+            cache_frames = [f for f in opened_cache.frames() if between is None or between.first <= f <= between.last]
+            if not cache_frames:
+                advice = "`antdsl info CACHE` says which it has"
+                raise CommandError(ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", advice)
+            paths = export.paths(word, to, cache_frames)
+            if word in export.each:
+                require_writable_folder(to.parent, "--to", *(path.name for path in paths))
+                with protect_inputs({}, {"--to": (to.parent, [path.name for path in paths])}) as inputs:
+                    inputs += opened_cache.source_files()
+            else:
+                with protect_inputs({"--to": to}) as inputs:
+                    inputs += opened_cache.source_files()
+            gallery = Gallery(opened_cache if chosen is None else AgentSubset(opened_cache.folder, opened_cache.manifest, chosen))
+            make_folder(to.parent)
+            notes: Sequence[str] | None
+            if scheduler:
+                where = scheduler, tls, no_tls
+                task_answers = run_cache_tasks(
+                    where,
+                    cache,
+                    to.parent,
+                    lambda real_cache, place: export_tasks(real_cache, to.name, word, chosen, cache_frames, place),
+                )
+                notes = tuple(dict.fromkeys(note for answered in task_answers for note in answered.notes))
+            else:
+                notes = export.forms[word](gallery, cache_frames, to, *options)
+            if word in export.each:
+                sync_files(paths)
+            unknown = None if chosen is None else _describe_unknown_ids(opened_cache, cache_frames, chosen)
+            notes = [*(notes or ()), *([] if unknown is None else [unknown])]
     except (UsdError, NoExport) as why:
         raise CommandError(ExitCode.FINDINGS, f"error: {why}", why.help or "") from None
     if not quiet:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def fmt(
     paths: list[Path] = typer.Argument(
-        None, help="Files (.ant), folders or patterns; - reads standard input and writes to standard output.", show_default=False
+        None, help="Files (.ant), folders or patterns; - reads standard input and writes to standard output."
     ),
     check: bool = typer.Option(False, "--check", help="Change nothing; name the files that would change, with exit code 1."),
     diff: bool = typer.Option(False, "--diff", help="Change nothing; show what would change, with exit code 1."),

@@ -26,18 +26,10 @@ class Format(StrEnum):
 
 def graph(
     file: Path = typer.Argument(..., help="A program (.ant) or a scene (.yaml)."),
-    format: Format = typer.Option(
-        None, "--format", help="Format. [default: by the ending of --out, else svg]", show_default=False
-    ),
-    out: Path = typer.Option(
-        None, "--out", metavar="FILE", help="Output file; `-` prints it. [default: FILE.svg here]", show_default=False
-    ),
+    format: Format = typer.Option(None, "--format", help="Format. [default: by the ending of --out, else svg]"),
+    out: Path = typer.Option(None, "--out", metavar="FILE", help="Output file; `-` prints it. [default: FILE.svg here]"),
     only: list[str] = typer.Option(
-        [],
-        "--only",
-        metavar="NAME",
-        help="Only this species, or SPECIES.MACHINE. May be given several times.",
-        show_default=False,
+        [], "--only", metavar="NAME", help="Only this species, or SPECIES.MACHINE. May be given several times."
     ),
 ) -> None:
     """Draw the state machines of a program."""
@@ -55,9 +47,8 @@ def graph(
         raise CommandError(ExitCode.FINDINGS)
     charts = _select_charts(graphs.charts(program), only)
     if not charts:
-        raise CommandError(
-            ExitCode.FINDINGS, f"error: `{file}` has no species with states", "`antdsl graph` draws states and transitions"
-        )
+        words = f"error: `{file}` has no species with states"
+        raise CommandError(ExitCode.FINDINGS, words, "`antdsl graph` draws states and transitions")
     written, report = graphs.write(charts, chosen)
     exit_on_errors(report)
     assert written is not None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from antdsl.cli.exits import CommandError, ExitCode
+from antdsl.cli.exits import CommandError, ExitCode, explain_cache_errors
 from antdsl.cli.printing.messages import print_result
 
 if TYPE_CHECKING:
@@ -24,12 +24,9 @@ def info(
     """Say what is in a cache and what it was made from."""
     from antdsl.diagnostics.model import printable
     from antdsl.outputs.cache.cache_reader import open_cache
-    from antdsl.outputs.cache.manifest import ManifestError
 
-    try:
+    with explain_cache_errors():
         opened_cache = open_cache(cache)
-    except ManifestError as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "name the folder that `antdsl run` printed") from None
     for line in describe_cache(opened_cache):
         print_result(printable(line))  # the manifest may be a stranger's
     if verify:

@@ -45,11 +45,9 @@ def jobs(
     set_: list[str] = typer.Option([], "--set", metavar="NAME=VALUE", help="Value of a param, such as forager.smell=50mm"),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     render: str = typer.Option("", "--render", metavar="'WORDS'", help="How pictures look: '--camera eye --width 1920'."),
-    out: Path = typer.Option(
-        None, "--out", metavar="DIR", help="Folder of the cache. [default: out/SCENE beside the scene]", show_default=False
-    ),
+    out: Path = typer.Option(None, "--out", metavar="DIR", help="Folder of the cache. [default: out/SCENE beside the scene]"),
     pictures: Path = typer.Option(
-        None, "--pictures", metavar="DIR", help="Folder of the pictures. [default: pictures in the cache]", show_default=False
+        None, "--pictures", metavar="DIR", help="Folder of the pictures. [default: pictures in the cache]"
     ),
     film: bool = typer.Option(True, "--film/--no-film", help="Make a film of the pictures at the end; needs the extra [video]."),
     quiet: bool = typer.Option(False, "--quiet", "-q", help="Print nothing but problems."),

@@ -51,9 +51,7 @@ class Legend(StrEnum):
 @report_failures("drawing stopped", "the same command with `--resume` draws the others")
 def render(
     cache: Path = typer.Argument(..., help="A folder that `antdsl run` wrote."),
-    frames: str = typer.Option(
-        None, "--frames", metavar="A..B", help="Which frames. [default: the last; all with --film]", show_default=False
-    ),
+    frames: str = typer.Option(None, "--frames", metavar="A..B", help="Which frames. [default: the last; all with --film]"),
     every: int = typer.Option(None, "--every", min=1, metavar="N", help="Draw only every Nth frame."),
     sheet: bool = typer.Option(False, "--sheet", help="One picture with several frames on it, and the last frame as a picture."),
     film: bool = typer.Option(False, "--film", help="Make an .mp4 film; needs the extra [video]."),
@@ -88,13 +86,12 @@ def render(
         max=1000.0,
         metavar="PIXELS",
         help="Draw shorter agents so long. [default: 7, up to three times their size]",
-        show_default=False,
     ),
     marks: float = typer.Option(
         0.0, "--marks", min=0.0, max=200.0, metavar="PIXELS", help="Draw agents as discs of this diameter."
     ),
     full: list[str] = typer.Option(
-        [], "--full", metavar="FIELD=VALUE", help="The strength at the end of a field's scale of colours.", show_default=False
+        [], "--full", metavar="FIELD=VALUE", help="The strength at the end of a field's scale of colours."
     ),
     legend: Legend = typer.Option(Legend.beside, "--legend", help="States and scales: in a strip beside it, or nowhere."),
     cut: str = typer.Option(
@@ -105,16 +102,13 @@ def render(
         "--shot",
         metavar="A..B",
         help="These are some of the frames of a film: the camera and the strip are those of the whole film, from A to B.",
-        show_default=False,
     ),
     resume: bool = typer.Option(False, "--resume", help="Draw only frames without a complete and current picture."),
     threads: int = typer.Option(0, "--threads", min=0, max=256, help="0 takes all cores that it may use."),
     scheduler: str = SCHEDULER,
     tls: Path = TLS,
     no_tls: bool = NO_TLS,
-    out: Path = typer.Option(
-        None, "--out", metavar="DIR", help="Where pictures go. [default: pictures in the cache]", show_default=False
-    ),
+    out: Path = typer.Option(None, "--out", metavar="DIR", help="Where pictures go. [default: pictures in the cache]"),
 ) -> None:
     """Draw frames of a cache."""
     from antdsl.cli.arguments import parse_frame_range
@@ -196,9 +190,8 @@ def _parse_window(text: str) -> Window:
 
     window = Window.of(text)
     if window is None:
-        raise typer.BadParameter(
-            f"`{text}` is not a range of seconds such as `1..2`, of at most {MOST_SECONDS:g}", param_hint="--window"
-        )
+        words = f"`{text}` is not a range of seconds such as `1..2`, of at most {MOST_SECONDS:g}"
+        raise typer.BadParameter(words, param_hint="--window")
     return window
 
 
@@ -236,18 +229,14 @@ def _choose_frames(gallery: Gallery, between: Any, every: int | None, sheet: boo
     if between is not None:
         cache_frames = [frame for frame in cache_frames if between.first <= frame <= between.last]
     if not cache_frames:
-        raise CommandError(
-            ExitCode.INPUT_OUTPUT, "error: the cache has none of these frames", "`antdsl info CACHE` says which it has"
-        )
+        message = "error: the cache has none of these frames"
+        raise CommandError(ExitCode.INPUT_OUTPUT, message, "`antdsl info CACHE` says which it has")
     if every is not None:
         cache_frames = cache_frames[::every]
         if not sheet or film or len(cache_frames) <= MOST:
             return cache_frames
-        raise CommandError(
-            ExitCode.USAGE,
-            f"error: {len(cache_frames)} pictures do not fit on a sheet",
-            f"use a larger `--every`, for at most {MOST} pictures",
-        )
+        words = f"error: {len(cache_frames)} pictures do not fit on a sheet"
+        raise CommandError(ExitCode.USAGE, words, f"use a larger `--every`, for at most {MOST} pictures")
     if sheet and not film:
         steps = min(SHEET, len(cache_frames))
         return sorted({cache_frames[round(k * (len(cache_frames) - 1) / max(steps - 1, 1))] for k in range(steps)})

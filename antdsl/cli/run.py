@@ -18,7 +18,7 @@ from antdsl.cli.destinations import (
     require_writable_folder,
     write_result,
 )
-from antdsl.cli.exits import CommandError, ExitCode, report_failures
+from antdsl.cli.exits import CommandError, ExitCode, explain_cache_errors, report_failures
 from antdsl.cli.memory_demand import ANY_MEMORY, require_memory
 from antdsl.cli.printing.messages import print_note
 from antdsl.cli.scheduler import NO_TLS, SCHEDULER, TLS, require_scheduler
@@ -54,7 +54,6 @@ def run(
         "--out",
         metavar="DIR",
         help="Folder of the cache; with several scenes, it has a folder for each. [default: out/SCENE beside the scene]",
-        show_default=False,
     ),
     root: list[str] = typer.Option([], "--root", metavar="NAME=DIR", help="Grant the scene a folder of assets outside its own."),
     threads: int = typer.Option(
@@ -203,14 +202,13 @@ def _begin_recording(
 ) -> Recording:
     from antdsl.cli.printing.progress import show_set_up
     from antdsl.cli.printing.reports import exit_on_errors, show
-    from antdsl.outputs.cache.cache_writer import DifferentHashes, DifferentInputs, ForeignFolder, PathBlocked
-    from antdsl.outputs.recording import NothingToResume, begin
+    from antdsl.outputs.recording import begin
     from antdsl.outputs.starting import StartError
     from antdsl.runtime import BindError
     from antdsl.runtime.binding.start_findings import start_warnings
 
     try:
-        with show_set_up(quiet):
+        with explain_cache_errors(), show_set_up(quiet):
             recording = begin(shot, folder, options, resume=resume, force=force)
         if recording.resumed_from is None and shot.scene.model.start is None:
             show(start_warnings(shot.scene, recording.world), to_stderr=True)
@@ -220,19 +218,6 @@ def _begin_recording(
     except (BindError, StartError) as why:
         exit_on_errors(why.report)
         raise CommandError(ExitCode.FINDINGS) from None
-    except ForeignFolder as why:
-        raise CommandError(
-            ExitCode.INPUT_OUTPUT, f"error: {why}", "name another folder with `--out`, or write into it anyway with `--force`"
-        ) from None
-    except PathBlocked as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "move it away, or name another folder with `--out`") from None
-    except DifferentInputs as why:
-        advice = "restore the same inputs, or run without `--resume` to start again"
-        raise CommandError(ExitCode.FINDINGS, f"error: {why}", advice) from None
-    except DifferentHashes as why:
-        raise CommandError(ExitCode.FINDINGS, f"error: {why}", "run without `--resume` to begin again") from None
-    except NothingToResume as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "run without `--resume` to begin again") from None
 
 
 def _record_to_end(recording: Recording, quiet: bool, again: str) -> None:
@@ -240,7 +225,6 @@ def _record_to_end(recording: Recording, quiet: bool, again: str) -> None:
     import signal
 
     from antdsl.cli.printing.progress import show_progress
-    from antdsl.outputs.cache.lock import FolderLocked
     from antdsl.outputs.recording import record
     from antdsl.runtime import FaultStop, LimitStop
 
@@ -256,11 +240,10 @@ def _record_to_end(recording: Recording, quiet: bool, again: str) -> None:
 
     previous_handlers = {number: signal.signal(number, ask_to_stop) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with report_failures("cannot write the cache", f"go on with: {again}"), show_progress(recording, quiet) as watch:
+        failures = report_failures("cannot write the cache", f"go on with: {again}")
+        with explain_cache_errors(), failures, show_progress(recording, quiet) as watch:
             for _ in record(recording, watch.show_preroll):
                 watch.frame()
-    except FolderLocked as why:
-        raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", "wait for it, or name another folder with `--out`") from None
     except LimitStop as why:
         words = f"correct the program; the earlier frames are in {recording.folder}"
         raise CommandError(ExitCode.INPUT_OUTPUT, f"error: {why}", words) from None

@@ -31,14 +31,9 @@ SCHEDULER: Any = typer.Option(
     "--scheduler",
     metavar="ADDRESS",
     help="Run on a Dask cluster: `local` starts one here, tls://HOST:8786 uses a running one; needs the extra [cluster].",
-    show_default=False,
 )
 TLS: Any = typer.Option(
-    None,
-    "--tls",
-    metavar="DIR",
-    help="For a running scheduler: the folder with ca.pem, cert.pem and key.pem.",
-    show_default=False,
+    None, "--tls", metavar="DIR", help="For a running scheduler: the folder with ca.pem, cert.pem and key.pem."
 )
 NO_TLS: Any = typer.Option(
     False,
@@ -76,11 +71,8 @@ def open_cluster(
     from importlib.util import find_spec
 
     if find_spec("distributed") is None or find_spec("cryptography") is None:
-        raise CommandError(
-            ExitCode.INPUT_OUTPUT,
-            "error: `--scheduler` needs Dask",
-            f"install it: {_HOW}; without `--scheduler` all runs on this machine",
-        )
+        words = "error: `--scheduler` needs Dask"
+        raise CommandError(ExitCode.INPUT_OUTPUT, words, f"install it: {_HOW}; without `--scheduler` all runs on this machine")
     from antdsl.executors import TaskRefused
     from antdsl.executors.cluster import connect, load_security, local_cluster
 
@@ -153,10 +145,8 @@ def _require_certificates(folder: Path) -> None:
             else:
                 context.load_cert_chain(certificate, key, password="")  # else it would ask
         except (OSError, ValueError):  # an SSLError is an OSError
-            raise typer.BadParameter(
-                f"`{certificate_file}` {words}; the page on clusters of the documentation has the commands that make them",
-                param_hint="--tls",
-            ) from None
+            message = f"`{certificate_file}` {words}; the page on clusters of the documentation has the commands that make them"
+            raise typer.BadParameter(message, param_hint="--tls") from None
 
 
 def _is_loopback(host: str) -> bool:

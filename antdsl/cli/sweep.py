@@ -62,9 +62,7 @@ def sweep(
         help="Which values are run: all combinations; points of a Latin hypercube or of a Sobol sequence; Saltelli's sample or "
         "Morris' trajectories, which tell how much each param matters.",
     ),
-    points: int = typer.Option(
-        None, "--points", metavar="N", min=2, max=1_000_000, help="Number of points of a design.", show_default=False
-    ),
+    points: int = typer.Option(None, "--points", metavar="N", min=2, max=1_000_000, help="Number of points of a design."),
     design_seed: int = typer.Option(
         SEED, "--design-seed", metavar="N", min=1, max=2**31 - 1, help="Seed of the design's random draws."
     ),
@@ -73,7 +71,7 @@ def sweep(
         0, "--jobs", min=0, max=256, help="Runs at a time; 0 takes all cores that it may use. Changes no result."
     ),
     out: Path = typer.Option(
-        None, "--out", metavar="DIR", help="Folder of the table. [default: out/sweep beside the first scene]", show_default=False
+        None, "--out", metavar="DIR", help="Folder of the table. [default: out/sweep beside the first scene]"
     ),
     frames: str = typer.Option(None, "--frames", metavar="A..B", help="Frame range; overrides the scenes."),
     until: list[str] = typer.Option(

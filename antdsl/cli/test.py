@@ -31,11 +31,7 @@ def test(
     junit: Path = typer.Option(None, "--junit", metavar="FILE", help="Write the results as JUnit XML, for build servers."),
     json: Path = typer.Option(None, "--json", metavar="FILE", help="Write the results and the coverage as JSON."),
     keep: Path = typer.Option(
-        None,
-        "--keep",
-        metavar="DIR",
-        help="Folder for saved failures. [default: out/failed beside the scene]",
-        show_default=False,
+        None, "--keep", metavar="DIR", help="Folder for saved failures. [default: out/failed beside the scene]"
     ),
     no_keep: bool = typer.Option(False, "--no-keep", help="Save no failures."),
     update: bool = typer.Option(False, "--update", help="Store these runs as golden runs; later runs are compared with them."),

@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from antdsl import limits
-from antdsl.diagnostics.document import document
+from antdsl.diagnostics.exchange import document, github, junit, sarif
 from antdsl.diagnostics.full import full
-from antdsl.diagnostics.github import github
-from antdsl.diagnostics.junit import junit
 from antdsl.diagnostics.model import Diagnostic, Report
 from antdsl.diagnostics.places import escape_text, line_range
-from antdsl.diagnostics.sarif import sarif
 
 
 def concise(diagnostics: Sequence[Diagnostic], omitted_count: int) -> str:

@@ -127,10 +127,8 @@ def open_shot(cache: Cache, scene: Path | None = None, grants: Mapping[str, Path
     if different:
         names = ", ".join(f"`{name}`" for name in different[:5])
         other = "" if scene is not None else f"; if `{path}` is not its scene, name the right one: `--scene FILE`"
-        raise ExplainError(
-            f"the cache was made from other inputs: {names}",
-            f"an explanation needs the texts that the run was made with: put them back, or run the scene again{other}",
-        )
+        advice = f"an explanation needs the texts that the run was made with: put them back, or run the scene again{other}"
+        raise ExplainError(f"the cache was made from other inputs: {names}", advice)
     return shot
 
 

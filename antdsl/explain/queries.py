@@ -53,9 +53,8 @@ def _require_species(cache: Cache, requested_species: str | None) -> str:
             return names[0]
         raise ExplainError(f"`{cache.folder}` has more than one species", f"name one with `--species`: {listed}", usage=True)
     near = nearest_name(requested_species, names)
-    raise ExplainError(
-        f"no species `{requested_species}`", f"did you mean `{near}`?" if near else f"the species are: {listed}", usage=True
-    )
+    words = f"no species `{requested_species}`"
+    raise ExplainError(words, f"did you mean `{near}`?" if near else f"the species are: {listed}", usage=True)
 
 
 def _require_frame(cache: Cache, frame: int) -> None:
@@ -64,11 +63,8 @@ def _require_frame(cache: Cache, frame: int) -> None:
     if not frames:
         raise ExplainError(f"`{cache.folder}` has no frames", "run the scene first")
     if frame == cache.manifest.first:
-        raise ExplainError(
-            f"frame {frame} is the first: no step of this cache led to it",
-            f"ask for a later one: `--frame {frame + 1}`",
-            usage=True,
-        )
+        words = f"frame {frame} is the first: no step of this cache led to it"
+        raise ExplainError(words, f"ask for a later one: `--frame {frame + 1}`", usage=True)
     if frame not in frames:
         raise ExplainError(f"no frame {frame}", f"`{cache.folder}` has {frames[0] + 1} to {frames[-1]} to explain", usage=True)
 
@@ -84,10 +80,8 @@ def _require_alive(
     if not any(s.first <= frame - 1 <= s.last for s in stretches):
         when = f"{species} {agent} exists from frame {alive[0]} to {alive[1]}"
         if frame <= alive[0]:
-            raise ExplainError(
-                f"{species} {agent} had not decided anything by frame {frame}", f"{when}: its first step leads to {alive[0] + 1}",
-                usage=True,
-            )  # fmt: skip
+            words = f"{species} {agent} had not decided anything by frame {frame}"
+            raise ExplainError(words, f"{when}: its first step leads to {alive[0] + 1}", usage=True)
         raise ExplainError(f"{species} {agent} is not there at frame {frame}", when, usage=True)
 
 

@@ -21,7 +21,6 @@ Floats = NDArray[np.float32]
 UNIT = 2.0**-24  # deposits are whole numbers of this
 LARGEST_DEPOSIT = 2.0**16  # so that five million of them in one cell stay within 63 bits
 FLUSH = 1e-12
-_SPARSE = 0.2  # share of cells that hold scent above which looking for who may smell any does not pay
 _NONE = np.empty(0)
 _SYMMETRIC = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
 
@@ -251,7 +250,6 @@ class _DiffusionFlow:
     """A symmetric flow between cells: inflow from the linked cells minus outflow."""
 
     def __init__(self, inward: Any) -> None:
-        self._inward = inward
         own = np.repeat(np.arange(inward.shape[0]), np.diff(inward.indptr))
         self._out = np.bincount(own, inward.data, inward.shape[0]).astype(np.float64)
         self._links = inward.data, inward.indices.astype(np.int32, copy=False), inward.indptr.astype(np.int64, copy=False)

@@ -60,10 +60,6 @@ class Terrain:
         self.names: tuple[str, ...] = (*(meshes.names if meshes is not None else ()), *solids)
         self._count = len(self.names) - len(self._volumes)
 
-    def with_meshes(self, meshes: Meshes) -> Terrain:
-        """The same solids with other meshes of the same names."""
-        return Terrain(meshes, dict(zip(self.names[self._count :], self._volumes, strict=True)), self._up)
-
     # ---- asking
 
     def nowhere(self, n: int) -> Footing:

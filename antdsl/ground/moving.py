@@ -98,9 +98,7 @@ class MovingGround(MeshGround):
 
     def _ray_scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
         """Return rays against some surfaces, in separate scenes for static and moving ones, and the faces in these scenes."""
-        chosen = (
-            tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._require_names(on)))
-        )
+        chosen = self._surface_numbers(on)
         if chosen not in self._scenes:
             still = tuple(k for k in chosen if not self._moves[k])
             if still not in self._still_scenes:

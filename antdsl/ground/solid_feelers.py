@@ -17,6 +17,7 @@ from antdsl.casting.triangle_grid import Arrays
 from antdsl.ground.solid import Volume
 from antdsl.ground.solid.bricks import CUBE, SIDE
 from antdsl.numerics import parallel
+from antdsl.numerics.vectors import Columns
 
 Floats = NDArray[np.float64]
 
@@ -49,23 +50,13 @@ class SolidFeelers:
             outside[within] = np.maximum(near, np.float32(0))
         return outside
 
-    def cast_feelers(
-        self,
-        x: NDArray[Any],
-        y: NDArray[Any],
-        z: NDArray[Any],
-        dx: NDArray[Any],
-        dy: NDArray[Any],
-        dz: NDArray[Any],
-        reach: NDArray[Any] | float,
-        threads: int = 1,
-    ) -> FeelerHits:
-        """Return the first hit within `reach` (mm, one or float[n]) of points along unit directions, all 1-D arrays of one
-        length.
+    def cast_feelers(self, positions: Columns, directions: Columns, reach: NDArray[Any] | float, threads: int = 1) -> FeelerHits:
+        """Return the first hit within `reach` (mm, one or float[n]) of points (x y z) along unit directions (x y z), all 1-D
+        arrays of one length.
 
         A ray hits where it enters the solid. A ray that starts inside, or along the surface under its agent, counts as free at
         its start."""
-        origin, direction = (np.stack(v, axis=1).astype(np.float64) for v in ((x, y, z), (dx, dy, dz)))
+        origin, direction = (np.stack(list(v), axis=1).astype(np.float64) for v in (positions, directions))
         n = len(origin)
         far = np.broadcast_to(np.asarray(reach, np.float64), (n,))
         voxel, through = self.volume.voxel, -_THROUGH * self.volume.voxel

@@ -47,7 +47,7 @@ def cast_from_above(volume: Volume, points: Floats, up: Floats) -> tuple[Floats,
 
 def cast_down(volume: Volume, start: Floats, up: Floats, reach: Floats | float) -> tuple[Floats, NDArray[np.bool_]]:
     """Return the first point of a solid that a ray along -`up` hits within `reach`, and whether there is one."""
-    hits = SolidFeelers(volume).cast_feelers(*start.T, -up[:, 0], -up[:, 1], -up[:, 2], reach)  # type: ignore[call-arg]
+    hits = SolidFeelers(volume).cast_feelers(start.T, -up.T, reach)
     place = start - up * np.where(hits.hit, hits.t, 0.0)[:, None]
     landed = volume.project(place, up, 2 * volume.voxel)
     return landed.points, hits.hit & landed.is_in_reach

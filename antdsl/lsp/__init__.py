@@ -13,10 +13,6 @@ def ready() -> Report:
     """Empty where the server can be started; else one error that names the extra."""
     report = Report()
     if find_spec("pygls") is None:
-        report.error(
-            "missing-extra",
-            "the language server needs the extra `[lsp]`, which is not installed",
-            None,
-            'run `pip install "antdsl[lsp]"`',
-        )
+        message = "the language server needs the extra `[lsp]`, which is not installed"
+        report.error("missing-extra", message, None, 'run `pip install "antdsl[lsp]"`')
     return report

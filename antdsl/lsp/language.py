@@ -2,62 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 from antdsl.loading import find_library
-from antdsl.lsp.samples import (
-    CALL_FORMS,
-    INNER_FORMS,
-    KIND_FORMS,
-    SCENE_FORMS,
-    SET_FORMS,
-    SETTING_FORMS,
-    VALUE_FORMS,
-    WHOLE_FORMS,
-)
-from antdsl.lsp.words import (
-    FORM_HELP,
-    INNER_HELP,
-    KINDS,
-    PLAY_HELP,
-    SCENE_HELP,
-    SETTINGS,
-    STATE_WORD_HELP,
-    STEPS,
-    TYPE_HELP,
-    UNIT_HELP,
-    WHOLE_HELP,
-    WORD_HELP,
-)
+from antdsl.lsp import samples
+from antdsl.lsp import words as tables
 from antdsl.program.expectations import GEOMETRY, MOTION
 from antdsl.program.kinds import Dim
 from antdsl.program.names.bindings import Key
 from antdsl.program.names.collect import EVENTS
+from antdsl.program.tables import vocabulary
 from antdsl.program.tables.colours import COLOURS
 from antdsl.program.tables.rows import Builtin
+from antdsl.program.tables.things import KINDS_OF_THINGS, KindOfThing
 from antdsl.program.tables.units import default_unit, dimension_words, measure
-from antdsl.program.tables.vocabulary import (
-    BUILTIN_ATTRIBUTES,
-    BUILTINS,
-    HIT_ATTRIBUTES,
-    ITEM_ATTRIBUTES,
-    REDUCERS,
-    RESERVED,
-    RUN_NAMES,
-    SENSED_NAMES,
-    TYPE_WORDS,
-    UNITS,
-)
 from antdsl.resources import library_names
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FORMS
 
 Rule = Callable[[Key], str | None]
+# The words that members of a species begin with; an attribute has none.
+MEMBER_WORDS: Mapping[type, str] = {nodes.ParamDecl: "param", nodes.Let: "let", nodes.Latch: "latch", nodes.Fuzzy: "fuzzy"}
 
 
 def flat(text: str) -> str:
     return " ".join(text.split())
+
+
+def help_text(node: Any) -> str:
+    """Return the text that says what a declared thing is for; "" without one."""
+    help = getattr(node, "help", None)
+    return help.text if help is not None else ""
 
 
 def markdown(form: str, *lines: str, notation: str = "ant") -> str:
@@ -84,7 +60,7 @@ def _element(key: Key) -> str | None:
 
 
 def _describe_built_in(key: Key) -> str | None:
-    row = BUILTIN_ATTRIBUTES.get(key[1])
+    row = vocabulary.BUILTIN_ATTRIBUTES.get(key[1])
     if row is None:
         return None
     details = ([f"default {row.default}"] if row.default else []) + (["may be set"] if row.settable else [])
@@ -107,22 +83,24 @@ def _builtin(key: Key) -> str | None:
 
 
 def _called(key: Key) -> str | None:
-    rows = BUILTINS.get(key[1], ())
+    rows = vocabulary.BUILTINS.get(key[1], ())
     if not rows:
         return None
-    return markdown("\n".join([*(builtin_form(key[1], row) for row in rows), CALL_FORMS[key[1]]]), rows[0].help)
+    return markdown("\n".join([*(builtin_form(key[1], row) for row in rows), samples.CALL_FORMS[key[1]]]), rows[0].help)
 
 
 def _reducer(key: Key) -> str | None:
-    return markdown(f"{key[1]}(n in SET: …)\n{SET_FORMS[key[1]]}", REDUCERS[key[1]]) if key[1] in REDUCERS else None
+    help = vocabulary.REDUCERS.get(key[1])
+    return None if help is None else markdown(f"{key[1]}(n in SET: …)\n{samples.SET_FORMS[key[1]]}", help)
 
 
 def _describe_form(key: Key) -> str | None:
-    return markdown(f"{key[1]}(…)\n{WHOLE_FORMS[key[1]]}", WHOLE_HELP[key[1]]) if key[1] in WHOLE_HELP else None
+    row = tables.WHOLES.get(key[1])
+    return None if row is None else markdown(f"{key[1]}(…)\n{row.sample}", row.help)
 
 
 def _builtin_argument(key: Key) -> str | None:
-    for row in BUILTINS.get(key[1], ()):
+    for row in vocabulary.BUILTINS.get(key[1], ()):
         for arg in row.args:
             if arg.name == key[2]:
                 default = f"default {arg.default}" if arg.default is not None else "may be left out" if arg.optional else ""
@@ -132,11 +110,9 @@ def _builtin_argument(key: Key) -> str | None:
 
 def _word(key: Key) -> str | None:
     word = key[1]
-    help = STATE_WORD_HELP.get(word) or WORD_HELP.get(word)
-    type = RUN_NAMES.get(word) or SENSED_NAMES.get(word)
-    if help is None:
-        return None
-    return markdown(f"{word}: {type}\n{VALUE_FORMS[word]}" if type else VALUE_FORMS[word], help)
+    row = tables.WORDS_OF_STATES.get(word) or tables.VALUES.get(word)
+    type = vocabulary.RUN_NAMES.get(word) or vocabulary.SENSED_NAMES.get(word)
+    return None if row is None else markdown(f"{word}: {type}\n{row.sample}" if type else row.sample, row.help)
 
 
 def _unit(key: Key) -> str | None:
@@ -149,8 +125,8 @@ def _unit(key: Key) -> str | None:
     factor = known.factor / base_unit.factor if base_unit is not None else known.factor  # angles are in radians behind `deg`
     worth = f"1 {key[1]} = {factor:.6g} {base}".strip() if key[1] != base and not known.u and not known.step else ""
     rate = f"so much a second: `x += 3 {key[1]}` in a state" if known.dim.time == -1 and not known.step else ""
-    of_steps = "" if not known.step or key[1] in UNIT_HELP else STEPS
-    return markdown(f"3 {key[1]}", dimension_words(known.dim), UNIT_HELP.get(key[1], ""), worth, rate, of_steps)
+    of_steps = "" if not known.step or key[1] in tables.UNIT_HELP else tables.STEPS
+    return markdown(f"3 {key[1]}", dimension_words(known.dim), tables.UNIT_HELP.get(key[1], ""), worth, rate, of_steps)
 
 
 def _make_typed_word_rule(table: Any, what: str, form: str) -> Rule:
@@ -160,9 +136,10 @@ def _make_typed_word_rule(table: Any, what: str, form: str) -> Rule:
     return rule
 
 
-def _make_word_rule(table: dict[str, str], what: str, forms: dict[str, str], notation: str = "ant") -> Rule:
+def _make_word_rule(table: Mapping[str, tables.Word | KindOfThing], what: str, notation: str = "ant") -> Rule:
     def rule(key: Key) -> str | None:
-        return markdown(forms[key[1]], table[key[1]], what, notation=notation) if key[1] in table else None
+        row = table.get(key[1])
+        return None if row is None else markdown(row.sample, row.help, what, notation=notation)
 
     return rule
 
@@ -171,20 +148,20 @@ def describe_keyword(word: str, begins: bool) -> str | None:
     """Return the description of a keyword, or None. A word that begins a line differs from the same word inside one: `on spawn {
     … }`, `field trail on ground`."""
     if not begins:
-        return markdown(INNER_FORMS[word], INNER_HELP[word]) if word in INNER_HELP else None
-    if word not in FORM_HELP:
+        return markdown(tables.INNER_WORDS[word].sample, tables.INNER_WORDS[word].help) if word in tables.INNER_WORDS else None
+    if word not in tables.FORM_HELP:
         return None
     form = FORMS.get(word, "when touching(meal) take 1 load from meal -> carry" if word == "take" else word)
-    return markdown(form.replace("` or `", "\n"), FORM_HELP[word])
+    return markdown(form.replace("` or `", "\n"), tables.FORM_HELP[word])
 
 
 def _type_word(key: Key) -> str | None:
-    known = TYPE_WORDS.get(key[1])
+    known = vocabulary.TYPE_WORDS.get(key[1])
     if known is None:
         return None
     unit = default_unit(known) if isinstance(known, Dim) else ""
     return markdown(
-        f"behaviour mine(x: {key[1]}) -> push {{ … }}", f"numbers in `{unit}`" if unit else TYPE_HELP[key[1]], "a type"
+        f"behaviour mine(x: {key[1]}) -> push {{ … }}", f"numbers in `{unit}`" if unit else tables.TYPE_HELP[key[1]], "a type"
     )
 
 
@@ -200,33 +177,35 @@ def _colour(key: Key) -> str | None:
 LANGUAGE: dict[str, Rule] = {
     "given": _describe_built_in, "builtin": _builtin, "builtin-argument": _builtin_argument, "word": _word, "unit": _unit,
     "steered": _steered, "event": _event, "element": _element,
-    "setting": _make_word_rule(SETTINGS, "setting of a field", SETTING_FORMS),
-    "kind": _make_word_rule(KINDS, "kind of thing of the world", KIND_FORMS), "type": _type_word,
-    "item-given": _make_typed_word_rule(ITEM_ATTRIBUTES, "every item has it", "nearest(food).{}"),
-    "hit-given": _make_typed_word_rule(HIT_ATTRIBUTES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"),
+    "setting": _make_word_rule(tables.SETTINGS, "setting of a field"),
+    "kind": _make_word_rule(KINDS_OF_THINGS, "kind of thing of the world"), "type": _type_word,
+    "item-given": _make_typed_word_rule(vocabulary.ITEM_ATTRIBUTES, "every item has it", "nearest(food).{}"),
+    "hit-given": _make_typed_word_rule(
+        vocabulary.HIT_ATTRIBUTES, "what a ray met has it", "ray(heading, reach: 20 mm, on: stones).{}"
+    ),
     "motion": _make_typed_word_rule(MOTION, "how the crowd moves", "motion.{}"),
     "geometry": _make_typed_word_rule(GEOMETRY, "how an animal's body stands: for specs", "any({} > 0)"),
-    "scene": _make_word_rule(SCENE_HELP, "key of a scene", SCENE_FORMS, "yaml"), "colour": _colour,
+    "scene": _make_word_rule(tables.SCENE_KEYS, "key of a scene", "yaml"), "colour": _colour,
     "body": lambda key: markdown(key[1], "a clip, layer, channel or group of joints of the body that a scene gives the animal"),
 }  # fmt: skip
 # What a bare word may mean: in words, the table it stands in, and the rule that tells it.
 _MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (
-    ("begins a line", FORM_HELP, lambda key: describe_keyword(key[1], True)),
-    ("inside a line", INNER_HELP, lambda key: describe_keyword(key[1], False)),
-    ("a call", BUILTINS, _called),
-    ("of a set", REDUCERS, _reducer),
-    ("of all agents, in a spec", WHOLE_HELP, _describe_form),
-    ("every animal has it", BUILTIN_ATTRIBUTES, _describe_built_in),
-    ("a value", {**STATE_WORD_HELP, **WORD_HELP}, _word),
-    ("a unit", UNITS, _unit),
-    ("kind of thing of the world", KINDS, LANGUAGE["kind"]),
-    ("setting of a field", SETTINGS, LANGUAGE["setting"]),
-    ("a type", TYPE_WORDS, _type_word),
-    ("what a ray met has it", HIT_ATTRIBUTES, LANGUAGE["hit-given"]),
-    ("every item has it", ITEM_ATTRIBUTES, LANGUAGE["item-given"]),
+    ("begins a line", tables.FORM_HELP, lambda key: describe_keyword(key[1], True)),
+    ("inside a line", tables.INNER_WORDS, lambda key: describe_keyword(key[1], False)),
+    ("a call", vocabulary.BUILTINS, _called),
+    ("of a set", vocabulary.REDUCERS, _reducer),
+    ("of all agents, in a spec", tables.WHOLES, _describe_form),
+    ("every animal has it", vocabulary.BUILTIN_ATTRIBUTES, _describe_built_in),
+    ("a value", {**tables.WORDS_OF_STATES, **tables.VALUES}, _word),
+    ("a unit", vocabulary.UNITS, _unit),
+    ("kind of thing of the world", KINDS_OF_THINGS, LANGUAGE["kind"]),
+    ("setting of a field", tables.SETTINGS, LANGUAGE["setting"]),
+    ("a type", vocabulary.TYPE_WORDS, _type_word),
+    ("what a ray met has it", vocabulary.HIT_ATTRIBUTES, LANGUAGE["hit-given"]),
+    ("every item has it", vocabulary.ITEM_ATTRIBUTES, LANGUAGE["item-given"]),
     ("how the crowd moves", MOTION, LANGUAGE["motion"]),
     ("how an animal's body stands: for specs", GEOMETRY, LANGUAGE["geometry"]),
-    ("key of a scene", SCENE_HELP, LANGUAGE["scene"]),
+    ("key of a scene", tables.SCENE_KEYS, LANGUAGE["scene"]),
     ("a colour", COLOURS, _colour),
     ("an event", EVENTS, _event),
 )
@@ -235,9 +214,9 @@ _MEANINGS: tuple[tuple[str, Collection[str], Rule], ...] = (
 def words() -> set[str]:
     """Return all words that `about` knows. Of units, compound ones are left out."""
     own = {word for _, node in _library() for word in (node.name.text, *(argument.name.text for argument in node.arguments))}
-    arguments = {arg.name for rows in BUILTINS.values() for row in rows for arg in row.args}
-    tables = {word for _, table, _ in _MEANINGS for word in table}
-    return {*tables, *own, *arguments, *library_names(), *RESERVED}
+    arguments = {arg.name for rows in vocabulary.BUILTINS.values() for row in rows for arg in row.args}
+    meant = {word for _, table, _ in _MEANINGS for word in table}
+    return {*meant, *own, *arguments, *library_names(), *vocabulary.RESERVED}
 
 
 def explain_word(word: str) -> str | None:
@@ -250,7 +229,7 @@ def explain_word(word: str) -> str | None:
     meanings += [("argument of a call", "\n\n".join(_arguments(word)))]
     for brings, node in _library():
         if node.name.text == word:
-            text = markdown(f"behaviour {signature(node)}", node.help.text if node.help else "", f"`use {brings}`")
+            text = markdown(f"behaviour {signature(node)}", help_text(node), f"`use {brings}`")
             meanings.append(
                 (f"a behaviour of the library `{brings}`", f"{text}\n\nIts definition:\n\n```ant\n{node.span.text}\n```")
             )
@@ -258,7 +237,7 @@ def explain_word(word: str) -> str | None:
         names = ", ".join(f"`{node.name.text}`" for brings, node in _library() if brings == word)
         meanings.append(("a library", markdown(f"use {word}", f"the library: {names}")))
     said = [(title, text) for title, text in meanings if text]
-    if not said and word in RESERVED:
+    if not said and word in vocabulary.RESERVED:
         said = [("", "a word of the language that does not work yet")]
     if not said:
         return None
@@ -273,12 +252,12 @@ _GAP = "\n\n"
 
 def _arguments(word: str) -> Iterator[str]:
     """What takes an argument of that name."""
-    for called, rows in BUILTINS.items():
+    for called, rows in vocabulary.BUILTINS.items():
         for row in rows:
             if any(arg.name == word for arg in row.args):
-                yield markdown(f"{builtin_form(called, row)}\n{CALL_FORMS[called]}", f"argument of `{called}`")
-    if word in PLAY_HELP:
-        yield markdown(f"play CLIP({word}: …)\n{PLAY_HELP[word]}", "argument of `play`")
+                yield markdown(f"{builtin_form(called, row)}\n{samples.CALL_FORMS[called]}", f"argument of `{called}`")
+    if word in tables.PLAY_HELP:
+        yield markdown(f"play CLIP({word}: …)\n{tables.PLAY_HELP[word]}", "argument of `play`")
     for _, node in _library():
         if any(argument.name.text == word for argument in node.arguments):
             yield markdown(signature(node), f"argument of `{node.name.text}`")

@@ -7,20 +7,18 @@ from collections.abc import Iterator
 from typing import Any
 
 from antdsl.lsp.features.proposals import Item
-from antdsl.lsp.words import SCENE_HELP
+from antdsl.lsp.language import help_text
+from antdsl.lsp.words import scene_key_help
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.names.declared import declaration
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KINDS_OF_THINGS, WITH_FACES
 from antdsl.scene import model
 from antdsl.scene.matching import FRAME_ATTRIBUTES
+from antdsl.scene.thing_models import ItemThing
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIELD_SETTINGS, FIXED_SETTINGS
 
 _KEY = re.compile(r"^(\s*)(?:- )?([A-Za-z_.][A-Za-z_0-9.]*):")
-_PARTS: dict[str, type[model.Part]] = {
-    "place": model.Placement, "camera": model.Camera, "lod": model.LevelOfDetail, "output": model.Output, "from": model.StartFrom,
-    "crowd": model.CrowdLine, "walk": model.Walk,
-}  # fmt: skip
 
 
 def path_at(text: str, offset: int) -> tuple[tuple[str, ...], str]:
@@ -105,7 +103,7 @@ def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line:
     elif path == ("output", "attributes"):
         yield from (Item(name, "property", "attribute of a frame") for name in FRAME_ATTRIBUTES)
     else:
-        part_model = next((_PARTS[part] for part in reversed(path) if part in _PARTS), None)
+        part_model = next((model.PARTS[part] for part in reversed(path) if part in model.PARTS), None)
         if part_model is not None:
             yield from _fields(part_model)
 
@@ -113,7 +111,7 @@ def _keys(workspace: Workspace, document: Document, path: tuple[str, ...], line:
 def _fields(part: type[model.Part]) -> Iterator[Item]:
     for name, field in part.model_fields.items():
         key = field.alias or name
-        yield Item(key, "property", "must be given" if field.is_required() else "", SCENE_HELP.get(key, ""), f"{key}: ")
+        yield Item(key, "property", "must be given" if field.is_required() else "", scene_key_help(key), f"{key}: ")
 
 
 def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> Iterator[Item]:
@@ -121,19 +119,17 @@ def _world(workspace: Workspace, document: Document, path: tuple[str, ...]) -> I
     if len(path) == 1:
         for name, item in things.items():
             form = KINDS_OF_THINGS[item.kind.text].snippet if item.kind.text in KINDS_OF_THINGS else ""
-            yield Item(
-                name, "thing", item.kind.text, item.help.text if item.help is not None else "", f"{name}: {form}", bool(form)
-            )
+            yield Item(name, "thing", item.kind.text, help_text(item), f"{name}: {form}", bool(form))
         return
     thing = things.get(path[1])
     if thing is not None and thing.kind.text == "items":
         if len(path) > 2:
-            yield from _fields(model.ItemThing)
+            yield from _fields(ItemThing)
             for each in thing.attributes:
                 yield Item(each.name.text, "property", f"value of {path[1]}", "", f"{each.name.text}: ")
         return
-    for head, (_, part) in model.THING_MODELS.items():
-        yield Item(head, "property", "says what it is", SCENE_HELP.get(head, ""), f"{head}: ")
+    for head, part in model.THING_MODELS.items():
+        yield Item(head, "property", "says what it is", scene_key_help(head), f"{head}: ")
         if head == "mesh":
             yield from _fields(part)
 
@@ -146,7 +142,7 @@ def _settings(workspace: Workspace, document: Document) -> Iterator[Item]:
                 if isinstance(member, nodes.ParamDecl):
                     value = " ".join(node.value.span.text.split())
                     bounds = f" in {' '.join(node.range.span.text.split())}" if node.range is not None else ""
-                    help = node.help.text if node.help is not None else ""
+                    help = help_text(node)
                     yield Item(f"{species}.{name}", "property", f"{value}{bounds}", help, f"{species}.{name}: {value}")
         for name, field in program.names.fields.items():
             for setting in field.settings:
@@ -168,7 +164,7 @@ def _values(workspace: Workspace, document: Document, key: str, path: tuple[str,
     elif key in ("units", "up"):
         yield from (Item(word, "unit") for word in (("mm", "cm", "m") if key == "units" else ("x", "y", "z")))
     elif key in ("on", "border"):
-        yield from (Item(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in ("surface", "solid", "obstacle"))
+        yield from (Item(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in WITH_FACES)
     elif key in ("around", "toward", "away", "solved"):
         yield from (Item(n, "thing", i.kind.text) for n, i in things.items() if i.kind.text in ("items", "curve"))
         yield from (Item(name, "thing", "item") for name in document.scene.items)

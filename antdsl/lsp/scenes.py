@@ -12,7 +12,8 @@ from antdsl.lsp.names import Occurrence
 from antdsl.program.names.bindings import Key
 from antdsl.program.tables.vocabulary import ITEM_ATTRIBUTES
 from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode, read_document
-from antdsl.scene.model import FILE_HEADS, ItemThing
+from antdsl.scene.model import FILE_HEADS
+from antdsl.scene.thing_models import ItemThing
 from antdsl.source import Source, Span
 from antdsl.syntax.words import FIELD_SETTINGS
 

@@ -15,27 +15,18 @@ from pygls.lsp.server import LanguageServer
 
 from antdsl import __version__
 from antdsl.lsp import protocol
-from antdsl.lsp.features import tokens
+from antdsl.lsp.features import navigation, tokens
 from antdsl.lsp.features.actions import actions
 from antdsl.lsp.features.completion import complete
 from antdsl.lsp.features.context import is_line_start
 from antdsl.lsp.features.describe import describe
 from antdsl.lsp.features.formatting import formatting_edits
 from antdsl.lsp.features.hints import hints
-from antdsl.lsp.features.navigation import (
-    NameLocation,
-    RenameRefused,
-    definition,
-    references,
-    renamable_name,
-    rename,
-    resolve_key,
-)
 from antdsl.lsp.features.outline import folds, symbols
 from antdsl.lsp.language import describe_keyword
 from antdsl.lsp.scene_help import complete_scene
 from antdsl.lsp.text import path_of, uri_of
-from antdsl.lsp.words import SCENE_HELP
+from antdsl.lsp.words import scene_key_help
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.whole import write_parts
 
@@ -66,15 +57,14 @@ class Server(LanguageServer):
     def document(self, uri: str) -> Document | None:
         return self.files.document(self.path(uri))
 
-    def location(self, target: NameLocation) -> lsp.Location:
+    def location(self, target: navigation.NameLocation) -> lsp.Location:
         path = target.document.path
         return lsp.Location(self.uris.get(path, uri_of(path)), protocol.range_of(target.range))
 
     def supports_snippets(self) -> bool:
         capabilities = self.client_capabilities.text_document
-        item = (
-            capabilities.completion.completion_item if capabilities is not None and capabilities.completion is not None else None
-        )
+        completion = capabilities.completion if capabilities is not None else None
+        item = completion.completion_item if completion is not None else None
         return bool(item is not None and item.snippet_support)
 
     # --- complaints ---
@@ -207,14 +197,13 @@ def _hover(ls: Server, params: lsp.HoverParams) -> lsp.Hover | None:
         said = {
             text: each.span
             for each in names
-            if (text := describe(ls.files, document, resolve_key(ls.files, document, each.key))) is not None
+            if (text := describe(ls.files, document, navigation.resolve_key(ls.files, document, each.key))) is not None
         }
         if not said:
             start, end = document.word_at(offset)
             word = document.text.text[start:end]
-            text = (
-                describe_keyword(word, is_line_start(document.text.text, start)) if document.is_program else SCENE_HELP.get(word)
-            )
+            is_first = is_line_start(document.text.text, start)
+            text = describe_keyword(word, is_first) if document.is_program else scene_key_help(word)
             return lsp.Hover(_markdown(text), protocol.range_of(document.text.range(start, end))) if text else None
         return lsp.Hover(_markdown("\n\n---\n\n".join(said)), protocol.range_of(document.range(next(iter(said.values())))))
 
@@ -237,21 +226,25 @@ def _completion(ls: Server, params: lsp.CompletionParams) -> lsp.CompletionList 
 
 @server.feature(lsp.TEXT_DOCUMENT_DEFINITION)
 def _definition(ls: Server, params: lsp.DefinitionParams) -> list[lsp.Location] | None:
-    return _answer_at(ls, params, lambda document, offset: [ls.location(each) for each in definition(ls.files, document, offset)])
+    return _answer_at(
+        ls, params, lambda document, offset: [ls.location(each) for each in navigation.definition(ls.files, document, offset)]
+    )
 
 
 @server.feature(lsp.TEXT_DOCUMENT_REFERENCES)
 def _references(ls: Server, params: lsp.ReferenceParams) -> list[lsp.Location] | None:
     declaration = params.context.include_declaration
     return _answer_at(
-        ls, params, lambda document, offset: [ls.location(each) for each in references(ls.files, document, offset, declaration)]
+        ls,
+        params,
+        lambda document, offset: [ls.location(each) for each in navigation.references(ls.files, document, offset, declaration)],
     )
 
 
 @server.feature(lsp.TEXT_DOCUMENT_DOCUMENT_HIGHLIGHT)
 def _highlight(ls: Server, params: lsp.DocumentHighlightParams) -> list[lsp.DocumentHighlight] | None:
     def answer(document: Document, offset: int) -> list[lsp.DocumentHighlight]:
-        locations = references(ls.files, document, offset)
+        locations = navigation.references(ls.files, document, offset)
         return [lsp.DocumentHighlight(protocol.range_of(each.range)) for each in locations if each.document is document]
 
     return _answer_at(ls, params, answer)
@@ -261,8 +254,8 @@ def _highlight(ls: Server, params: lsp.DocumentHighlightParams) -> list[lsp.Docu
 def _prepare_rename(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | None:
     def answer(document: Document, offset: int) -> lsp.Range:
         try:
-            return protocol.range_of(document.range(renamable_name(ls.files, document, offset).span))
-        except RenameRefused as why:
+            return protocol.range_of(document.range(navigation.renamable_name(ls.files, document, offset).span))
+        except navigation.RenameRefused as why:
             raise JsonRpcInvalidParams(str(why)) from None
 
     return _answer_at(ls, params, answer)
@@ -272,8 +265,8 @@ def _prepare_rename(ls: Server, params: lsp.PrepareRenameParams) -> lsp.Range | 
 def _rename(ls: Server, params: lsp.RenameParams) -> lsp.WorkspaceEdit | None:
     def answer(document: Document, offset: int) -> lsp.WorkspaceEdit:
         try:
-            locations = rename(ls.files, document, offset, params.new_name)
-        except RenameRefused as why:
+            locations = navigation.rename_symbol(ls.files, document, offset, params.new_name)
+        except navigation.RenameRefused as why:
             raise JsonRpcInvalidParams(str(why)) from None
         edits: dict[Path, list[lsp.TextEdit]] = {}
         for each in locations:

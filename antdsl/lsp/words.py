@@ -1,44 +1,60 @@
-"""Short descriptions of the words of programs and scenes: for hover, and beside completion proposals."""
+"""Short descriptions of the words of programs and scenes: for hover, and beside completion proposals. Most have a sample line."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.things import KINDS_OF_THINGS
 
-STATE_WORD_HELP = {
-    "state": "the state it is in",
-    "previous": "the state it was in before",
-    "next": "the state it goes to, while it changes",
-    "time_in_state": "how long it has been in its state",
+
+class Word(NamedTuple):
+    """A word, or one meaning of it."""
+
+    help: str
+    sample: str
+
+
+WORDS_OF_STATES = {
+    "state": Word("the state it is in", "when mood.state == scared -> run"),
+    "previous": Word("the state it was in before", "when after 1 s -> previous"),
+    "next": Word("the state it goes to, while it changes", "exit { tired = if next == run then 0 else 1 }"),
+    "time_in_state": Word("how long it has been in its state", "when time_in_state > 2 s -> rest"),
 }
-WORD_HELP = {
-    "self": "the animal itself",
-    "it": "the element that `with:` asks about",
-    "true": "yes",
-    "false": "no",
-    "dt": "how long one step lasts",
-    "time": "seconds up to the frame that is made: `frame` times `dt`",
-    "frame": "the number of the frame that is made",
-    **{row.name: row.help for row in find_words("name")},
-    "into": "the attribute that takes what is dug out",
-    "other": "what a number is in the run that the spec compares with",
-    "at_start": "what the other side of the comparison was at the start",
-    "motion": "how the crowd moves: `motion.turn_p99` and the like",
+VALUES = {
+    "self": Word("the animal itself", "direction(nearest(food), to: self)"),
+    "it": Word("the element that `with:` asks about", "nearest(food, with: distance(it) < 9 mm)"),
+    "true": Word("yes", "hungry = true"),
+    "false": Word("no", "hungry = false"),
+    "dt": Word("how long one step lasts", "exp(-dt / 2 s)"),
+    "time": Word("seconds up to the frame that is made: `frame` times `dt`", "when time > 10 s -> rest"),
+    "frame": Word("the number of the frame that is made", "when frame == 120 -> rest"),
+    **{row.name: Word(row.help, row.sample) for row in find_words("name")},
+    "into": Word("the attribute that takes what is dug out", "carve hill(radius: 2 mm, into: soil)"),
+    "other": Word("what a number is in the run that the spec compares with", "sooner: total(food.load) == 0"),
+    "at_start": Word("what the other side of the comparison was at the start", "always: total(food.load) <= at_start"),
+    "motion": Word("how the crowd moves: `motion.turn_p99` and the like", "finally: motion.turn_p99 < 200 deg/s"),
 }
-# Kinds of things of the world.
-KINDS = {row.word: row.help for row in KINDS_OF_THINGS.values()}
 # Settings of a field.
 SETTINGS = {
-    "cell": "how large its cells are",
-    "half_life": "the time in which half of it is gone",
-    "evaporate": "the share that goes in a time, such as `10 %/s`",
-    "keeps": "the share that stays in a step, such as `90 %/step`",
-    "diffuse": "how it spreads, an area in a time, such as `20 mm^2/s`",
-    "stencil": "to how many cells round about it spreads, `4` or `8`",
-    "combine": "`add` what is laid, or keep the `max`",
-    "deposits": "whether what is laid spreads and fades in the same step, `first`, or from the next one on, `last`",
-    "limit": "the most that a cell holds",
+    "cell": Word("how large its cells are", "field trail on ground { cell 4 mm }"),
+    "half_life": Word("the time in which half of it is gone", "field trail on ground { cell 4 mm; half_life 8 s }"),
+    "evaporate": Word("the share that goes in a time, such as `10 %/s`", "field heat on ground { cell 10 mm; evaporate 10 %/s }"),
+    "keeps": Word("the share that stays in a step, such as `90 %/step`", "field old on ground { cell 4 mm; keeps 90 %/step }"),
+    "diffuse": Word(
+        "how it spreads, an area in a time, such as `20 mm^2/s`", "field heat on ground { cell 10 mm; diffuse 20 mm^2/s }"
+    ),
+    "stencil": Word(
+        "to how many cells round about it spreads, `4` or `8`",
+        "field heat on ground { cell 10 mm; diffuse 20 mm^2/s; stencil 8 }",
+    ),
+    "combine": Word("`add` what is laid, or keep the `max`", "field heat on ground { cell 10 mm; combine max }"),
+    "deposits": Word(
+        "whether what is laid spreads and fades in the same step, `first`, or from the next one on, `last`",
+        "field heat on ground { cell 10 mm; half_life 8 s; deposits first }",
+    ),
+    "limit": Word("the most that a cell holds", "field heat on ground { cell 10 mm; limit 5 }"),
 }
 # Words that begin a line, and `take`.
 FORM_HELP = {
@@ -88,42 +104,51 @@ FORM_HELP = {
     "look": "a part of the body turns to something",
 }
 # Words inside a line; some of them begin lines too and mean something else there.
-INNER_HELP = {
-    "on": "where it lies, or in which scene it is checked",
-    "in": "the range that a param stays in, or the set that is gone through",
-    "from": "the agent or item that it is taken from, or where something begins",
-    "to": "the agent or item that it is given to, or where something ends",
-    "when": "this layer counts only for agents for which this holds",
-    "until": "what ends it",
-    "each": "a value about each of another species",
-    "strongest": "how many of these values are used, the greatest",
-    "take": "gets an amount from an item, as part of the condition",
-    "all": "as much as there is",
-    "after": "so long in this state",
-    "held": "it must have been so without a break for that long",
-    "chance": "happens at that rate, whatever the frames a second; a share where it is evaluated once",
-    "clip": "the clip that is played: `clip done`, or `clip at MARK`",
-    "done": "`clip done`: the clip has been played through",
-    "for": "the shortest time in this state, or what a value is about",
-    "least": "`for at least 1 s`: nothing but `interrupt` leaves the state sooner",
-    "choose": "one of several states, by weight",
-    "any": "out of every state",
-    "except": "but not out of these",
-    "relax": "goes back of itself",
-    "over": "how long that takes, until a third is left",
-    "then": "what follows: the next value, or that of `if`",
-    "if": "one of two values",
-    "else": "the value where the condition does not hold",
-    "is": "`x is none`: there is no such thing",
-    "none": "no item, no agent",
-    "of": "of which items or species",
-    "no": "there is none",
-    "not": "the opposite",
-    "and": "both; of shades the lesser",
-    "or": "one at least; of shades the greater",
-    "as": "the name by which a file is called here",
-    "within": "before that time is over",
-    "eventually": "in that frame or a later one",
+INNER_WORDS = {
+    "on": Word("where it lies, or in which scene it is checked", "field trail on ground { cell 4 mm }"),
+    "in": Word("the range that a param stays in, or the set that is gone through", "param smell = 40 mm in 0 mm .. 200 mm"),
+    "from": Word(
+        "the agent or item that it is taken from, or where something begins", "when touching(meal) take 1 load from meal -> carry"
+    ),
+    "to": Word("the agent or item that it is given to, or where something ends", "give all load to nest"),
+    "when": Word("this layer counts only for agents for which this holds", "layers { avoid(stones) when speed > 5 mm/s; state }"),
+    "until": Word("what ends it", "latch hungry = energy < 0.4 until energy > 0.6"),
+    "each": Word("a value about each of another species", "likes = 0 for each roach, strongest 8"),
+    "strongest": Word("how many of these values are used, the greatest", "likes = 0 for each roach, strongest 8"),
+    "take": Word("gets an amount from an item, as part of the condition", "when touching(meal) take 1 load from meal -> carry"),
+    "all": Word("as much as there is", "give all load to nest"),
+    "after": Word("so long in this state", "when after 5 s -> rest"),
+    "held": Word("it must have been so without a break for that long", "when speed < 1 mm/s held 0.5 s -> rest"),
+    "chance": Word(
+        "happens at that rate, whatever the frames a second; a share where it is evaluated once", "when chance 20 %/s -> rest"
+    ),
+    "clip": Word("the clip that is played: `clip done`, or `clip at MARK`", "when clip done -> rest"),
+    "done": Word("`clip done`: the clip has been played through", "when clip done -> rest"),
+    "for": Word(
+        "the shortest time in this state, or what a value is about", "state rest for at least 1 s { when after 2 s -> walk }"
+    ),
+    "least": Word(
+        "`for at least 1 s`: nothing but `interrupt` leaves the state sooner",
+        "state rest for at least 1 s { when after 2 s -> walk }",
+    ),
+    "choose": Word("one of several states, by weight", "when after 5 s -> choose { rest: 2; dig: 1 }"),
+    "any": Word("out of every state", "from any except dead when hurt -> flee"),
+    "except": Word("but not out of these", "from any except dead when hurt -> flee"),
+    "relax": Word("goes back of itself", "fear = 0 relax to 0 over 5 s"),
+    "over": Word("how long that takes, until a third is left", "fear = 0 relax to 0 over 5 s"),
+    "then": Word("what follows: the next value, or that of `if`", "load = if full then 1 else 0"),
+    "if": Word("one of two values", "load = if full then 1 else 0"),
+    "else": Word("the value where the condition does not hold", "load = if full then 1 else 0"),
+    "is": Word("`x is none`: there is no such thing", "when meal is none -> search"),
+    "none": Word("no item, no agent", "source = none of food"),
+    "of": Word("of which items or species", "source = none of food"),
+    "no": Word("there is none", "when no meal -> search"),
+    "not": Word("the opposite", "when not hungry -> rest"),
+    "and": Word("both; of shades the lesser", "when hungry and meal -> approach"),
+    "or": Word("one at least; of shades the greater", "when hungry or meal -> approach"),
+    "as": Word("the name by which a file is called here", 'use "./mine.ant" as mine'),
+    "within": Word("before that time is over", "when fear > 0.5 within 2 s: speed > 20 mm/s"),
+    "eventually": Word("in that frame or a later one", "when fear > 0.5 eventually: fear < 0.1"),
 }
 # Arguments of `play`.
 PLAY_HELP = {
@@ -161,54 +186,74 @@ TYPE_HELP = {
     **{row.word: row.typed for row in KINDS_OF_THINGS.values() if row.typed},
 }
 # Queries over all items, agents or cells in a spec.
-WHOLE_HELP = {"total": "the sum over all items, agents or cells", "share": "for which part of them it holds, from 0 to 1"}
-# Keys of a scene.
-SCENE_HELP = {
-    "antdsl": "the edition of the scene format, `1`",
-    "extends": "another scene, of which this one says what differs",
-    "units": "what a bare number of this file is in: `mm`, `cm`, `m`",
-    "up": "the axis that points up: `x`, `y`, `z`",
-    "fps": "frames a second",
-    "frames": "first and last frame, `1..240`",
-    "preroll": "steps before the first frame, not written",
-    "substeps": "how often the moving part is done in a step",
-    "stick": "how agents stay on meshes: over `triangles`, or by `rays`",
-    "orient": "what bodies stand across: the ground's `normal`, the last two directions (`turns`), the ways to two `probes`",
-    "contacts": "how bodies keep apart: `off`, `soft`, `hard`",
-    "seed": "where all chance begins",
-    "from": "the program, or a cache to go on from",
-    "world": "what the programs walk on, go round and find",
-    "crowd": "which agents, how many, where",
-    "set": "other values for params and settings of fields",
-    "fields": "what lies in a field at the start",
-    "layers": "another order of a species' layers",
-    "camera": "from where pictures are taken",
-    "lod": "distances from the camera beyond which feelers are simpler",
-    "output": "what a cache holds",
-    "species": "a species of the program",
-    "count": "how many agents",
-    "place": "where they begin",
-    "body": "what pictures draw",
-    "on": "the surface",
-    "around": "a point `[x, y, z]`, or an item",
-    "radius": "how far about that place",
-    "points": "a file of places",
-    "density": "a map that says where they are many",
-    "walk": "a way that they are led, deciding nothing",
-    "direction": "in the scene's axes, `[x, y, z]`",
-    "speed": "how fast they are led",
-    "length": "how far they are led",
-    "apart": "how far from each other at least, or `even`",
-    "by": "`above`, or `area`: undersides too",
-    "at": "a place, `[x, y, z]`",
-    "look_at": "what the camera looks at",
-    "focal": "focal length",
-    "mesh": "a file of triangles",
-    "height": "a 16-bit image, or an array of an .npz file",
-    "extent": "how far it goes along x and the other level axis",
-    "offset": "by how much all heights are raised",
-    "voxel": "how fine a solid is",
-    "keys": "places at frames",
-    "attributes": "what a frame of the cache holds",
-    "checkpoint": "frames between full checkpoints",
+WHOLES = {
+    "total": Word("the sum over all items, agents or cells", "always: total(food.load) < 9"),
+    "share": Word("for which part of them it holds, from 0 to 1", "always: share(state == carry) < 0.9"),
 }
+_HEIGHT = "world: {arena: {height: hills.png, extent: [400 mm, 400 mm], scale: 30 mm, offset: 2 mm}}"
+_WALK = "crowd: [{species: forager, from: forager.ant, count: 1, walk: {direction: [1, 0, 0], speed: 30 mm/s, length: 40 mm}}]"
+
+
+def _crowd(part: str) -> str:
+    """A crowd with one more part in its line."""
+    return f"crowd: [{{species: forager, from: forager.ant, count: 50, {part}}}]"
+
+
+# Keys of a scene.
+SCENE_KEYS = {
+    "antdsl": Word("the edition of the scene format, `1`", "antdsl: 1"),
+    "extends": Word("another scene, of which this one says what differs", "extends: scene.yaml"),
+    "units": Word("what a bare number of this file is in: `mm`, `cm`, `m`", "units: mm"),
+    "up": Word("the axis that points up: `x`, `y`, `z`", "up: y"),
+    "fps": Word("frames a second", "fps: 24"),
+    "frames": Word("first and last frame, `1..240`", "frames: 1..240"),
+    "preroll": Word("steps before the first frame, not written", "preroll: 48"),
+    "substeps": Word("how often the moving part is done in a step", "substeps: 2"),
+    "stick": Word("how agents stay on meshes: over `triangles`, or by `rays`", "stick: triangles"),
+    "orient": Word(
+        "what bodies stand across: the ground's `normal`, the last two directions (`turns`), the ways to two `probes`",
+        "orient: normal",
+    ),
+    "contacts": Word("how bodies keep apart: `off`, `soft`, `hard`", "contacts: hard"),
+    "seed": Word("where all chance begins", "seed: 7"),
+    "from": Word("the program, or a cache to go on from", "from: {cache: out/scene, frame: 240}"),
+    "world": Word("what the programs walk on, go round and find", "world: {ground: {mesh: ground.ply}}"),
+    "crowd": Word("which agents, how many, where", "crowd: [{species: forager, from: forager.ant, count: 50}]"),
+    "set": Word("other values for params and settings of fields", "set: {forager.smell: 60 mm}"),
+    "fields": Word("what lies in a field at the start", "fields: {trail: {start: 0.5, around: home, radius: 30 mm}}"),
+    "layers": Word("another order of a species' layers", "layers: {forager: [state, avoid]}"),
+    "camera": Word("from where pictures are taken", "camera: {at: [0, 300, 200], look_at: [0, 0, 0]}"),
+    "lod": Word("distances from the camera beyond which feelers are simpler", "lod: {near: 300 mm, far: 900 mm}"),
+    "output": Word("what a cache holds", "output: {checkpoint: 48}"),
+    "species": Word("a species of the program", "crowd: [{species: forager, from: forager.ant, count: 50}]"),
+    "count": Word("how many agents", "crowd: [{species: forager, from: forager.ant, count: 50}]"),
+    "place": Word("where they begin", _crowd("place: {on: ground}")),
+    "body": Word("what pictures draw", _crowd("body: ant")),
+    "on": Word("the surface", _crowd("place: {on: ground}")),
+    "around": Word("a point `[x, y, z]`, or an item", _crowd("place: {around: home}")),
+    "radius": Word("how far about that place", _crowd("place: {around: home, radius: 40 mm}")),
+    "points": Word("a file of places", _crowd("place: {points: starts.json}")),
+    "density": Word("a map that says where they are many", _crowd("place: {on: ground, density: damp}")),
+    "walk": Word("a way that they are led, deciding nothing", _WALK),
+    "direction": Word("in the scene's axes, `[x, y, z]`", _WALK),
+    "speed": Word("how fast they are led", _WALK),
+    "length": Word("how far they are led", _WALK),
+    "apart": Word("how far from each other at least, or `even`", _crowd("place: {on: ground, apart: even}")),
+    "by": Word("`above`, or `area`: undersides too", _crowd("place: {on: ground, by: area}")),
+    "at": Word("a place, `[x, y, z]`", "camera: {at: [0, 300, 200], look_at: [0, 0, 0]}"),
+    "look_at": Word("what the camera looks at", "camera: {at: [0, 300, 200], look_at: [0, 0, 0]}"),
+    "focal": Word("focal length", "camera: {at: [0, 300, 200], look_at: [0, 0, 0], focal: 35 mm}"),
+    "mesh": Word("a file of triangles", "world: {hill: {mesh: hill.ply, voxel: 2 mm}}"),
+    "height": Word("a 16-bit image, or an array of an .npz file", _HEIGHT),
+    "extent": Word("how far it goes along x and the other level axis", _HEIGHT),
+    "offset": Word("by how much all heights are raised", _HEIGHT),
+    "voxel": Word("how fine a solid is", "world: {hill: {mesh: hill.ply, voxel: 2 mm}}"),
+    "keys": Word("places at frames", "world: {lorry: {mesh: lorry.ply, keys: {1: {at: [0, 0, 0]}, 48: {at: [20, 0, 0]}}}}"),
+    "attributes": Word("what a frame of the cache holds", "output: {attributes: [P, v, id, state]}"),
+    "checkpoint": Word("frames between full checkpoints", "output: {checkpoint: 48}"),
+}
+
+
+def scene_key_help(key: str) -> str:
+    """What a key of a scene is for; "" for another word."""
+    return SCENE_KEYS[key].help if key in SCENE_KEYS else ""

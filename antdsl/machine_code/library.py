@@ -59,6 +59,11 @@ def load() -> list[Entry]:
     return [entries[place] for place in sorted(entries)]
 
 
+def read_language(name: str) -> str:
+    """Return a file of the package in LLVM's language, with `$NAME$` for what its reader puts there."""
+    return (Path(__file__).parent / name).read_text(encoding="utf-8")
+
+
 class LibraryText:
     """A function that writes a text of the package in LLVM's language for a target."""
 

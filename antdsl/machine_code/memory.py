@@ -56,23 +56,3 @@ def address(array: NDArray[Any]) -> int:
         raise ValueError("machine code needs contiguous arrays")
     location: int = array.ctypes.data
     return location
-
-
-class Addresses:
-    """Addresses of arrays by key, looked up again where it is another array."""
-
-    def __init__(self) -> None:
-        self._known: dict[Any, tuple[NDArray[Any], int]] = {}
-
-    def of(self, key: Any, array: NDArray[Any], check: Callable[[NDArray[Any]], None] | None = None) -> int:
-        """Return the address of the array for a key; a new array is checked."""
-        known = self._known.get(key)
-        if known is None or known[0] is not array:
-            if check is not None:
-                check(array)
-            known = self._known[key] = (array, address(array))
-        return known[1]
-
-    def forget(self, key: Any) -> None:
-        """Remove the array for a key, if there is one."""
-        self._known.pop(key, None)

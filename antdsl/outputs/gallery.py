@@ -75,7 +75,7 @@ class Gallery:
         self.dt = int(below) / int(above)
         self._walks = None if window is None else Walks(cache, self.dt, window)
         self.static = cache.static()
-        self._stones = tuple(self._solid(m) for m in self.manifest.meshes if m.kind != "solid" and m.look != "none")
+        self._stones = tuple(self._solid(m) for m in self.manifest.meshes if not m.row.is_dug and m.look != "none")
         self._dug = DugSolids(cache, self.static, cut)
         self.flows = tuple(
             Arrows(name, place, displacement, _ARROWS[number % len(_ARROWS)])
@@ -179,7 +179,7 @@ class Gallery:
 
     def _solid(self, mesh: MeshEntry) -> Solid:
         name = mesh.name
-        look = next((k for word, k in _KINDS if word in name.lower()), "stone" if mesh.kind == "obstacle" else "ground")
+        look = next((k for word, k in _KINDS if word in name.lower()), mesh.row.look)
         vertices = np.asarray(self.static[f"mesh.{name}.vertices"], np.float64)
         faces = np.asarray(self.static[f"mesh.{name}.faces"], np.int32)
         return Solid(name, vertices, faces, look if mesh.look is None else _LOOKS[mesh.look])

@@ -153,7 +153,7 @@ class Stage:
     def add_picture(self, picture: Picture) -> None:
         """Add what stands in a frame beside agents."""
         frame = self.frames.index(picture.frame) if picture.frame is not None else 0
-        dug = {mesh.name for mesh in self.gallery.manifest.meshes if mesh.kind == "solid"}
+        dug = {mesh.name for mesh in self.gallery.manifest.meshes if mesh.row.is_dug}
         for solid in picture.solids:
             if solid.name in dug:
                 self._dug[solid.name] = solid

@@ -34,8 +34,9 @@ from antdsl.outputs.starting import start_from_cache, start_hash
 from antdsl.pipeline import Shot
 from antdsl.runtime import CheckpointError, Options, World, bind, feet_hash, restore, state_hash, step, take_emissions
 from antdsl.runtime.profiling import Meter
-from antdsl.scene.model import Camera, HeightThing, MeshThing, SceneModel, UsdThing, millimetres
+from antdsl.scene.model import Camera, SceneModel
 from antdsl.scene.setting import CameraData
+from antdsl.scene.thing_models import PlacedThing, millimetres
 from antdsl.scene.values import FrameRange
 
 
@@ -310,6 +311,6 @@ def looks_of(model: SceneModel) -> Mapping[str, Look | Mapping[str, Look]]:
         if isinstance(thing, dict):
             own = {item: cast(Look, placed.look) for item, placed in thing.items() if placed.look is not None}
             looks |= {name: own} if own else {}
-        elif isinstance(thing, MeshThing | HeightThing | UsdThing) and thing.look is not None:
+        elif isinstance(thing, PlacedThing) and thing.look is not None:
             looks[name] = cast(Look, thing.look)
     return looks

@@ -17,6 +17,7 @@ from typing import Any
 
 from antdsl.program.tables import senses
 from antdsl.program.tables.rows import Sense
+from antdsl.program.tables.things import BLOCKING
 from antdsl.source import Span
 
 
@@ -168,12 +169,7 @@ OPS: dict[str, Operation] = {
     "reduce.any": Operation("sb", (), B, _A, "at least one"),
     "reduce.agent": Operation("sbf", (), L, _A, "id of the agent with the least body, the lesser id at a tie; -1 for none"),
     "reduce.nth_agent": Operation(
-        "sbff",
-        (),
-        L,
-        _A,
-        "id of the agent with the n-th least body, the lesser id before the greater at a tie; n is the whole number below the last "
-        "operand; -1 where there are fewer, or n is below 1",
+        "sbff", (), L, _A, "id of the agent with the n-th least body; n is the last operand, without its fraction; -1 for none"
     ),
     "reduce.nth_item": Operation("sbff", (), I, _A, "row of the item with the n-th least body, likewise"),
     "reduce.item": Operation("sbf", (), I, _A, "row of the item with the least body, the lesser row at a tie; -1 for none"),
@@ -397,3 +393,8 @@ class Plan:
     def of_kind(self, *kinds: str) -> tuple[str, ...]:
         """The names of the things of some kinds."""
         return tuple(name for kind in kinds for name in self.things.get(kind, ()))
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """The names of the things that agents cannot walk through."""
+        return self.of_kind(*BLOCKING)

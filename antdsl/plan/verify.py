@@ -9,7 +9,7 @@ from antdsl.plan.ir import Block, Claim, Give, If, ItemsPlan, Kind, Node, Plan, 
 from antdsl.plan.traverse import blocks, field_nodes, operands, required_nodes, roots, statements
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.senses import SENSES
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KINDS_OF_THINGS, replacements
 
 _READS = ("snap", "load")
 _LABELS = {"reduce.agent": False, "reduce.nth_agent": False, "reduce.item": True, "reduce.nth_item": True}  # of items
@@ -79,7 +79,7 @@ def names_by_kind(plan: Plan) -> dict[str, Container[str]]:
     """Return the names of the things of a plan, by the kind in the rows of senses and effects."""
     return {
         **{kind: plan.of_kind(kind) for kind in KINDS_OF_THINGS}, "items": plan.items, "species": plan.species,
-        "field": plan.fields, "target": plan.of_kind(*KINDS_OF_THINGS["obstacle"].serves),
+        "field": plan.fields, "target": plan.of_kind(*replacements("obstacle")),
     }  # fmt: skip
 
 

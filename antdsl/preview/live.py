@@ -337,9 +337,8 @@ class Live:
             return
         try:
             if self._session is None and type(ask) not in WITHOUT_SESSION:
-                raise Refusal(
-                    "there is nothing to play yet: the scene has errors", "correct them and save; it starts automatically"
-                )
+                words = "there is nothing to play yet: the scene has errors"
+                raise Refusal(words, "correct them and save; it starts automatically")
             HANDLERS[type(ask)](self, ask, client)
         except Refusal as why:
             client.tell({"op": "refused", "of": ask.op, "message": why.message, "help": why.help})

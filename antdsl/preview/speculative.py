@@ -114,9 +114,6 @@ def _changed_lines_text(name: str, old: str | None, new: str) -> str:
     first, last = start + 1, len(new_lines) - end
     if last < first:
         removed_count = len(old_lines) - len(new_lines)
-        return (
-            f"{name}: {removed_count} {'line' if removed_count == 1 else 'lines'} gone after line {start}"
-            if removed_count
-            else name
-        )
+        lines = "line" if removed_count == 1 else "lines"
+        return f"{name}: {removed_count} {lines} gone after line {start}" if removed_count else name
     return f"{name} line {first}" if first == last else f"{name} lines {first}–{last}"

@@ -66,11 +66,8 @@ def merge_repeats(report: Report) -> Report:
 
 
 def _other_labels(diagnostic: Diagnostic, repeated_spans: Mapping[Span, Sequence[Span]]) -> tuple[Label, ...]:
-    others = (
-        [each for each in repeated_spans[diagnostic.span] if each != diagnostic.span]
-        if diagnostic.code in _MISSING and diagnostic.span
-        else []
-    )
+    spans = repeated_spans[diagnostic.span] if diagnostic.code in _MISSING and diagnostic.span else []
+    others = [each for each in spans if each != diagnostic.span]
     return (*diagnostic.labels, *_repeat_labels(others))
 
 

@@ -6,23 +6,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
-from antdsl.program.model import (
-    Ask,
-    Assign,
-    BindingRef,
-    Expr,
-    Face,
-    Machine,
-    Op,
-    Program,
-    Reduce,
-    SetOf,
-    Species,
-    State,
-    Steer,
-    Take,
-    ThingRef,
-)
+from antdsl.program import model
 from antdsl.program.tables.effects import EFFECTS
 from antdsl.program.tables.rows import Cost
 from antdsl.program.tables.set_senses import SET_SENSES
@@ -56,7 +40,7 @@ class StateCost:
         return self.sums + sum(use.weight for use in self.uses)
 
 
-def costs(program: Program, species: Species) -> list[StateCost]:
+def costs(program: model.Program, species: model.Species) -> list[StateCost]:
     """Return the costs of every state of a species in text order, and last those common to all states."""
     state_parts = [
         StateCost(
@@ -76,14 +60,14 @@ def costs(program: Program, species: Species) -> list[StateCost]:
     return [*state_parts, StateCost("every state", *_count_uses(program, always))]
 
 
-def _state_parts(species: Species, machine: Machine, state: State) -> object:
+def _state_parts(species: model.Species, machine: model.Machine, state: model.State) -> object:
     """Return what is computed in each step in which an agent is in the state; what is done once, on entry or exit, is not."""
     still = species.rest.push if species.rest is not None and state.index in species.rest.silent.get(machine.name, ()) else None
     changes = [(change.condition, change.delay, change.held, change.take) for change in state.transitions]
     return state.body, still, changes
 
 
-def _count_uses(program: Program, root: object) -> tuple[tuple[CostEntry, ...], int]:
+def _count_uses(program: model.Program, root: object) -> tuple[tuple[CostEntry, ...], int]:
     weights: dict[tuple[str, str], float] = {}
     sums = 0
     inside = _inside_sets(root)
@@ -98,11 +82,11 @@ def _count_uses(program: Program, root: object) -> tuple[tuple[CostEntry, ...], 
 
 def _inside_sets(root: object) -> set[int]:
     """Return what is computed for each member of a set."""
-    return {id(inner) for part in parts(root) if isinstance(part, (Reduce, SetOf)) for inner in _member_parts(part)}
+    return {id(inner) for part in parts(root) if isinstance(part, (model.Reduce, model.SetOf)) for inner in _member_parts(part)}
 
 
-def _member_parts(part: Reduce | SetOf) -> Iterator[object]:
-    body = part.body if isinstance(part, Reduce) else part.where
+def _member_parts(part: model.Reduce | model.SetOf) -> Iterator[object]:
+    body = part.body if isinstance(part, model.Reduce) else part.where
     return parts(body) if body is not None else iter(())
 
 
@@ -110,11 +94,11 @@ _PAIR = 100  # operations that it takes to find a place for a value per pair
 
 
 def _operations(part: object) -> int:
-    if isinstance(part, Assign) and (part.of is not None or part.over is not None):
+    if isinstance(part, model.Assign) and (part.of is not None or part.over is not None):
         return _PAIR
-    if isinstance(part, (Steer, Face, Assign)):
+    if isinstance(part, (model.Steer, model.Face, model.Assign)):
         return 3
-    if not isinstance(part, Op):
+    if not isinstance(part, model.Op):
         return 0
     return 3 if part.type.kind.value == "vector" else 1
 
@@ -122,22 +106,22 @@ def _operations(part: object) -> int:
 def _cost_entries(part: object) -> Iterable[CostEntry]:
     """What one node of the program asks for."""
     match part:
-        case SetOf():
+        case model.SetOf():
             cost = SET_SENSES[part.source].cost
             return [] if cost is None else [_make_entry(cost, part.of, part.args)]
-        case Op():
+        case model.Op():
             cost = COSTS.get(part.name)
-            thing = next((arg.name for arg in part.args if isinstance(arg, ThingRef) and arg.name != "self"), "")
+            thing = next((arg.name for arg in part.args if isinstance(arg, model.ThingRef) and arg.name != "self"), "")
             return [] if cost is None or (cost.named and not thing) else [_make_entry(cost, thing, part.args, part.name)]
-        case Take():
+        case model.Take():
             return [_make_entry(_TAKE, part.attribute or part.source.span.text)]
-        case Ask():
+        case model.Ask():
             cost = EFFECTS[part.op].cost
             return [] if cost is None else [_make_entry(cost, part.of, part.args)]
     return []
 
 
-def _make_entry(cost: Cost, thing: str, args: tuple[Expr | None, ...] = (), op: str = "") -> CostEntry:
+def _make_entry(cost: Cost, thing: str, args: tuple[model.Expr | None, ...] = (), op: str = "") -> CostEntry:
     """Return a use as its row describes it: count, thing and distance."""
     count = 1
     if cost.times is not None:
@@ -150,8 +134,8 @@ def _make_entry(cost: Cost, thing: str, args: tuple[Expr | None, ...] = (), op: 
     return CostEntry(cost.heading, words, cost.weight * count)
 
 
-def _argument_text(expr: Expr | None) -> str:
+def _argument_text(expr: model.Expr | None) -> str:
     """Return an argument's text: that of the call of the behaviour, or that in the behaviour."""
-    while isinstance(expr, BindingRef) and expr.binding.role == "argument" and expr.binding.value is not None:
+    while isinstance(expr, model.BindingRef) and expr.binding.role == "argument" and expr.binding.value is not None:
         expr = expr.binding.value
     return " ".join(expr.span.text.split()) if expr is not None else "any distance"

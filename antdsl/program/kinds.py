@@ -5,6 +5,8 @@ from __future__ import annotations
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
+from antdsl.program.tables.things import KINDS_OF_THINGS
+
 
 class Dim(NamedTuple):
     """Exponents of length (mm), time (s), mass (g) and angle (rad). May be fractions after `sqrt`."""
@@ -16,6 +18,9 @@ class Dim(NamedTuple):
 
 
 class Kind(Enum):
+    """The kinds of things of the world are members too."""
+
+    _ignore_ = "word row"
     NUMBER = "number"
     VECTOR = "vector"  # a push is a vector without dimension
     BOOL = "bool"
@@ -28,11 +33,9 @@ class Kind(Enum):
     SET = "set"  # `of` names the items or species, or "hit"
     FIELD = "field"
     OBSTACLE = "obstacle"
-    SURFACE = "surface"
-    SOLID = "solid"
-    CURVE = "curve"
-    FLOW = "flow"
-    MAP = "map"
+    for word, row in KINDS_OF_THINGS.items():
+        if not row.has_values and word != OBSTACLE:
+            vars()[word.upper()] = word
     SPECIES = "species"
     ITEMS = "items"
     RANGE = "range"
@@ -43,6 +46,16 @@ class Type(NamedTuple):
     kind: Kind
     dim: Dim = Dim()
     of: str | None = None
+
+
+BAD = Type(Kind.BAD)
+NUMBER = Type(Kind.NUMBER)
+BOOL = Type(Kind.BOOL)
+PUSH = Type(Kind.VECTOR)
+VELOCITY = Type(Kind.VECTOR, Dim(length=1, time=-1))
+LENGTH = Type(Kind.NUMBER, Dim(length=1))
+TIME = Type(Kind.NUMBER, Dim(time=1))
+PER_SECOND = Type(Kind.NUMBER, Dim(time=-1))
 
 
 class Rate(IntEnum):

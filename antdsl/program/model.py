@@ -300,7 +300,7 @@ class ItemAttribute:
 
 @expression_class
 class WorldThing:
-    """`kind`: surface obstacle solid items curve flow map species."""
+    """`kind`: the word of its row in `program/tables/things.py`."""
 
     name: str
     kind: str
@@ -340,3 +340,7 @@ class Program:
     specs: tuple[Spec, ...]
     sources: tuple[nodes.File, ...] = field(default=())
     bindings: Bindings = field(default=Bindings())
+
+    def of_kind(self, kind: str) -> list[str]:
+        """Return the names of the things of the world of a kind."""
+        return [name for name, thing in self.world.items() if thing.kind == kind]

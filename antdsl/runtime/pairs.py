@@ -45,10 +45,6 @@ class PairRows:
     dz: Floats
     distance: Floats
 
-    def select_pairs(self, keep: NDArray[np.intp]) -> PairRows:
-        arrays: Any = (a.take(keep) for a in (self.i, self.j, self.dx, self.dy, self.dz, self.distance))
-        return PairRows(self.of, self.count, *arrays)
-
     def select_rows(self, rows: NDArray[np.intp]) -> PairRows:
         """Return only the pairs of some asking rows, which are numbered from 0."""
         number = np.full(self.count, -1)

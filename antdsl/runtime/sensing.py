@@ -194,9 +194,8 @@ def _feel_scene(
         if not len(sound):
             return
         row, ask_numbers, size, far = (v.take(sound) for v in (row, ask_numbers, size, far))
-        x, y, z = (v.take(row) for v in place)
-        wx, wy, wz = (v.take(sound) / size for v in (wx, wy, wz))
-        hits = scene.cast_feelers(x, y, z, wx, wy, wz, far, threads=threads)
+        positions, directions = [v.take(row) for v in place], [v.take(sound) / size for v in (wx, wy, wz)]
+        hits = scene.cast_feelers(positions, directions, far, threads)
     for each, _ in left:
         own = (ask_numbers == each).nonzero()[0]
         for into, values in zip(asks[each][2], (hits.hit, hits.t, hits.nx, hits.ny, hits.nz), strict=True):

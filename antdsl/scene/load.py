@@ -98,7 +98,7 @@ def load_text(data: bytes, name: str, roots: Roots, texts: Mapping[Path, bytes] 
         model = SceneModel.model_validate(plain_tree(document))
     except ValidationError as problem:
         outside = _find_outdented(document)
-        for error in _drop_consequences(problem.errors(include_url=False, include_input=False)):
+        for error in drop_consequences(problem.errors(include_url=False, include_input=False)):
             path = tuple(error["loc"])
             if path[:1] and path[0] in outside and len(path) == 1:
                 report.add(outside[path[0]])
@@ -136,7 +136,7 @@ def _find_outdented(document: MappingNode) -> dict[Key, Diagnostic]:
     return diagnostics
 
 
-def _drop_consequences(errors: list[Any]) -> list[Any]:
+def drop_consequences(errors: list[Any]) -> list[Any]:
     """Return the errors without those that only follow from a misspelled key. Such a key is unknown, and the intended one is
     missing. Where any key is allowed, its value has the wrong kind instead."""
     missing = {tuple(error["loc"]) for error in errors if error["type"] == "missing"}
@@ -178,7 +178,7 @@ def _report_error(report: Report, document: MappingNode, error: Any) -> None:
     if number is not None:  # `[0,4, 1, 2]`
         report.add(comma_diagnostic(Span(span.source, span.start + number.start(), span.start + number.end())))
         return
-    if kind == "scene":
+    if kind == "worded":
         context = error["ctx"]
         report.error("wrong-value", context["words"], span, context["help"] or None)
     else:
@@ -241,18 +241,12 @@ def _allowed_keys(path: tuple[Key, ...]) -> list[str]:
 
     # the last word of the path (tags of the schema are among them) that tells which model complained
     models: dict[str, type[model.Part]] = {
-        **dict(model.THING_MODELS.values()),
+        **{model.thing_tag(head): each for head, each in model.THING_MODELS.items()},
         "usd-camera": model.UsdCamera,
         "keys": model.PlaceKey,
-        "place": model.Placement,
-        "crowd": model.CrowdLine,
         "wear": AnyOf,
-        "walk": model.Walk,
         "fields": model.FieldStart,
-        "camera": model.Camera,
-        "lod": model.LevelOfDetail,
-        "output": model.Output,
-        "from": model.StartFrom,
+        **model.PARTS,
     }
     for part in reversed(path[:-1]):
         if part in models:

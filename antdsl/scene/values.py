@@ -26,9 +26,9 @@ LARGEST = {LENGTH: limits.SCENE_LENGTH, ANGLE: limits.SCENE_ANGLE, TIME: limits.
 BASE_UNITS = {LENGTH: "mm", ANGLE: "rad", TIME: "s", SPEED: "mm/s"}
 
 
-def make_error(message: str, help: str = "") -> PydanticCustomError:
-    """Return an error with its message unchanged, including braces."""
-    return PydanticCustomError("scene", "{words}", {"words": message, "help": help})
+def make_error(message: str, help: str = "", **context: Any) -> PydanticCustomError:
+    """Return an error with its message unchanged, including braces. `context`: what else its report needs."""
+    return PydanticCustomError("worded", "{words}", {"words": message, "help": help, **context})
 
 
 def _describe(value: Any) -> str:

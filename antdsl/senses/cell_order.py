@@ -13,20 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I32,
-    I64,
-    Array1,
-    Array2,
-    independent,
-    inlined,
-    kernel,
-    load_consecutive,
-    nearest_integer,
-)
+from antdsl.machine_code.kernels import independent, inlined, kernel, load_consecutive, nearest_integer
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2
 from antdsl.machine_code.kinds import WIDTH
 from antdsl.numerics import parallel
 from antdsl.numerics.host import cores

@@ -66,10 +66,6 @@ class Pairs:
     dz: Floats
     distance: Floats
 
-    def select_pairs(self, keep: Rows) -> Pairs:
-        arrays: Any = (a.take(keep) for a in (self.i, self.j, self.dx, self.dy, self.dz, self.distance))
-        return Pairs(*arrays)
-
 
 class CellGrid:
     """Agents sorted into cells: rows along the crowd's longest axis, cut four times finer than across.

@@ -14,20 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F64,
-    I32,
-    I64,
-    Array1,
-    Array2,
-    fetch_ahead,
-    independent,
-    inlined,
-    kernel,
-    load_consecutive,
-    nearest_integer,
-)
+from antdsl.machine_code.kernels import fetch_ahead, independent, inlined, kernel, load_consecutive, nearest_integer
+from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, Array1, Array2
 from antdsl.numerics.parallel import contiguous
 from antdsl.numerics.sorting import compact_indices, stable_order
 from antdsl.senses.cell_order import (

@@ -35,7 +35,7 @@ def evaluate_aggregate(world: World, judged: dict[str, Population], plan: Aggreg
         if plan.how == "count":
             return np.float64(len(values))
         return _aggregate_values(plan.how, values, len(values))
-    if plan.kind == "solid":
+    if plan.of in world.solids:
         return np.float64(world.solids[plan.of].volume())
     population = judged[plan.of]
     chosen = None if plan.where is None else population.now[plan.where]

@@ -137,10 +137,8 @@ class CaseFinder:
                 return file
             if (folder / DEFAULT_SCENE).is_file():
                 return own.parent / DEFAULT_SCENE
-            self.report.error(
-                "no-scene", f"the spec `{spec.name}` does not say on which scene it runs, and there is no `{DEFAULT_SCENE}` here",
-                _first_line(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`',
-            )  # fmt: skip
+            message = f"the spec `{spec.name}` does not say on which scene it runs, and there is no `{DEFAULT_SCENE}` here"
+            self.report.error("no-scene", message, _first_line(spec), f'write `spec "{spec.name}" on "{DEFAULT_SCENE}" {{ … }}`')
             return None
         return self._named_scene(own, spec.scene)
 
@@ -195,10 +193,9 @@ class CaseFinder:
         """Return the spec as the scene's own program has it, which may have more species than the file alone."""
         mine = _same_spec(shot.program, spec)
         if mine is None:
-            self.report.error(
-                "other-scene", f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`", _first_line(spec),
-                "name a scene that uses this program, or add a line to its `crowd`",
-            )  # fmt: skip
+            message = f"`{scene.name}` has no crowd from `{Path(spec.span.source.path).name}`"
+            advice = "name a scene that uses this program, or add a line to its `crowd`"
+            self.report.error("other-scene", message, _first_line(spec), advice)
             return None
         plan, report = lower_spec(mine, shot.program, shot.plan)
         self.report.extend(report)

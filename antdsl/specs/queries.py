@@ -93,11 +93,9 @@ class Questioner:
         """Return all agents of a species, all items of a name or all cells of a field, to be queried one by one."""
         if name in spec_world.items:
             return self._item_population(spec_world.items[name])
-        return (
-            self._cell_population(spec_world, name)
-            if name in spec_world.fields
-            else self._agent_population(spec_world, spec_world.populations[name])
-        )
+        if name in spec_world.fields:
+            return self._cell_population(spec_world, name)
+        return self._agent_population(spec_world, spec_world.populations[name])
 
     def _cell_population(self, spec_world: World, name: str) -> Population:
         """Cells of a field as if they were agents."""
@@ -187,7 +185,7 @@ def _overlap(world: World, population: Population) -> Floats:
 def _penetration(world: World, population: Population) -> Floats:
     """Return how deep each agent's middle is inside an obstacle that is a closed mesh, or inside a solid; 0 outside of all."""
     depth = np.zeros(len(population))
-    for name in world.plan.of_kind("obstacle"):
+    for name in world.plan.obstacles:
         scene = world.obstacles.get(name)
         if isinstance(scene, RayScene):
             depth = np.maximum(depth, scene.depth_inside(population.position))

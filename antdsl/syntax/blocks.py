@@ -37,15 +37,6 @@ class Line:
         return self.tokens[-1].end
 
 
-@dataclass(frozen=True, slots=True)
-class TextPiece:
-    """A range of parsed text: where it begins there, where in the source, and its length in the source."""
-
-    begin: int
-    offset: int
-    length: int
-
-
 class MappedText:
     """Text for the parser, with a mapping from its positions to the source."""
 

@@ -160,9 +160,8 @@ class _Scanner:
             digits = _FRACTION.match(self.characters, start)
             if digits is not None:
                 stop = digits.end()
-                self.found.error(
-                    "bad-number", f"number `{digits.group()}` begins with a dot", start, stop, f"write `0{digits.group()}`"
-                )
+                message = f"number `{digits.group()}` begins with a dot"
+                self.found.error("bad-number", message, start, stop, f"write `0{digits.group()}`")
                 self.found.replace(start, "1" + " " * (stop - start - 1))
                 return self.add_token("number", start, self.quantity_end(stop))
         return self.add_token("sign", start, end)
@@ -352,9 +351,8 @@ class _Scanner:
         line_end = len(self.characters) if line_end < 0 else line_end
         stop = next((at for at in range(start + 1, line_end) if self.characters[at] in quotes), -1)
         if stop < 0:
-            self.found.error(
-                "unknown-sign", f"`{piece}` is not a sign of the language", start, start + 1, 'put text in `"` quotes'
-            )
+            message = f"`{piece}` is not a sign of the language"
+            self.found.error("unknown-sign", message, start, start + 1, 'put text in `"` quotes')
             self.found.blank_out(start, start + 1)
             return start + 1
         self.found.error(
@@ -373,15 +371,13 @@ class _Scanner:
             return self.add_token("text", start, end)
         smart = next((at for at in range(start + 1, end) if self.characters[at] in DOUBLE_QUOTES), -1)
         if smart > 0:
-            self.found.error(
-                "wrong-quotes", f"text ends in a `{self.characters[smart]}` quote", smart, smart + 1, 'write `"`', '"'
-            )
+            message = f"text ends in a `{self.characters[smart]}` quote"
+            self.found.error("wrong-quotes", message, smart, smart + 1, 'write `"`', '"')
             self.found.replace(smart, '"')
             return self.add_token("text", start, smart + 1)
         stop = start + len(_TAIL.sub("", piece))
-        self.found.error(
-            "unclosed-text", "text without a closing quote", start, start + 1, 'end the text with `"` on the same line', '"', stop
-        )
+        message = "text without a closing quote"
+        self.found.error("unclosed-text", message, start, start + 1, 'end the text with `"` on the same line', '"', stop)
         if stop - start < 2:
             self.found.blank_out(start, start + 1)
             return start + 1

@@ -14,44 +14,29 @@ UNIT = rf"(?:{'|'.join(UNIT_NAMES)})(?:\^[0-9]+)?(?![A-Za-z_0-9])"
 UNITS = rf"(?:%|{UNIT}|/{UNIT})(?:[/*]{UNIT})*"
 QUANTITY = re.compile(rf"({NUMBER})[ \t]*({UNITS})?")
 
-UNIT_SLIPS = {
-    "ms": "write thousandths of a second as `0.001 s`",
-    "h": "write an hour as `60 min`",
-    "km": "write a kilometre as `1000 m`",
-    "sec": "write `s`",
-    "secs": "write `s`",
-    "second": "write `s`",
-    "seconds": "write `s`",
-    "minute": "write `min`",
-    "minutes": "write `min`",
-    "metr": "write `m`",
-    "metre": "write `m`",
-    "meter": "write `m`",
-    "metres": "write `m`",
-    "meters": "write `m`",
-    "millimetre": "write `mm`",
-    "millimeter": "write `mm`",
-    "millimetres": "write `mm`",
-    "millimeters": "write `mm`",
-    "degree": "write `deg`",
-    "degrees": "write `deg`",
-    "radian": "write `rad`",
-    "radians": "write `rad`",
-    "turns": "write `turn`",
-    "steps": "write `step`",
-    "tick": "write `step`",
-    "ticks": "write `step`",
-    "frame": "write a rate per second, such as `/s`, which does not depend on the frame rate; `/step` is for porting",
-    "frames": "write a time in `s`, which does not depend on the frame rate; `step` is for porting",
-    "gram": "write `g`",
-    "grams": "write `g`",
-    "percent": "write `%`",
-    "newton": "write `N`",
-    "pct": "write `%`",
-    "px": "write a length such as `mm`",
-    "unit": "write `u`",
-    "units": "write `u`",
-}
+# Units as other tools write them, or as people say them, and what to write here.
+_UNIT_SLIPS = (
+    ("ms", "write thousandths of a second as `0.001 s`"),
+    ("h", "write an hour as `60 min`"),
+    ("km", "write a kilometre as `1000 m`"),
+    ("sec secs second seconds", "write `s`"),
+    ("minute minutes", "write `min`"),
+    ("metr metre meter metres meters", "write `m`"),
+    ("millimetre millimeter millimetres millimeters", "write `mm`"),
+    ("degree degrees", "write `deg`"),
+    ("radian radians", "write `rad`"),
+    ("turns", "write `turn`"),
+    ("steps tick ticks", "write `step`"),
+    ("frame", "write a rate per second, such as `/s`, which does not depend on the frame rate; `/step` is for porting"),
+    ("frames", "write a time in `s`, which does not depend on the frame rate; `step` is for porting"),
+    ("gram grams", "write `g`"),
+    ("percent", "write `%`"),
+    ("newton", "write `N`"),
+    ("pct", "write `%`"),
+    ("px", "write a length such as `mm`"),
+    ("unit units", "write `u`"),
+)
+UNIT_SLIPS = {word: advice for words, advice in _UNIT_SLIPS for word in words.split()}
 
 # What a line may begin with, by the rule of the grammar that reads the line; anything else is a value or a name of the author's.
 _ACTIONS = tuple(VERBS)

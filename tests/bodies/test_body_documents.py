@@ -8,20 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from body_parts import READERS, Reader, read_part
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, Channel, Rig, TransformGroup
-from antdsl.bodies.files.definition_parts import TypedValue, read_metadata
-from antdsl.bodies.files.documents import (
-    read_group,
-    read_layer,
-    read_part,
-    read_rig,
-    write_group,
-    write_layer,
-    write_metadata,
-    write_rig,
-)
+from antdsl.bodies.files.documents import TypedValue, write_group, write_layer, write_metadata, write_rig
 
 RIG = """{
     "rig_version": 1,
@@ -62,7 +53,7 @@ METADATA = """{
 
 
 def rig_of(text: str) -> Rig:
-    parsed_rig, report = read_part(text.encode(), "rig.json", "a rig", read_rig)
+    parsed_rig, report = read_part(text.encode(), READERS["rig"])
     assert parsed_rig is not None and not report.diagnostics, report.diagnostics
     return parsed_rig
 
@@ -81,21 +72,19 @@ def test_what_is_written_is_read_as_it_was() -> None:
     again = rig_of(text)
     assert (again.names, again.channels) == (rig.names, rig.channels)
     assert (again.parents == rig.parents).all() and (again.rest == rig.rest).all() and write_rig(again) == text
-    reads: tuple[tuple[str, str, Callable[..., Any], Callable[[Any], str]], ...] = (
-        (LAYER, "a layer", read_layer, write_layer),
-        (GROUP, "a transform group", read_group, write_group),
-        (METADATA, "metadata", read_metadata, write_metadata),
-    )
-    for json_text, what, read, write in reads:
-        part, report = read_part(json_text.encode(), "x.json", what, read)
+    writers: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
+        (LAYER, "layer", write_layer), (GROUP, "group", write_group), (METADATA, "metadata", write_metadata),
+    )  # fmt: skip
+    for json_text, kind, write in writers:
+        part, report = read_part(json_text.encode(), READERS[kind])
         assert part is not None and not report.diagnostics, report.diagnostics
-        assert read_part(write(part).encode(), "x.json", what, read)[0] == part
+        assert read_part(write(part).encode(), READERS[kind])[0] == part
 
 
 def test_layers_groups_and_metadata_say_what_the_text_says() -> None:
-    layer, _ = read_part(LAYER.encode(), "x.json", "a layer", read_layer)
-    group, _ = read_part(GROUP.encode(), "x.json", "a transform group", read_group)
-    metadata, _ = read_part(METADATA.encode(), "x.json", "metadata", read_metadata)
+    layer, _ = read_part(LAYER.encode(), READERS["layer"])
+    group, _ = read_part(GROUP.encode(), READERS["group"])
+    metadata, _ = read_part(METADATA.encode(), READERS["metadata"])
     assert layer is not None and layer.static == (Binding("finger", "ring"),)
     assert layer.deforming == (Binding("", "glove", (1.0, 1.5, 1.0), "linearskinning"),)
     assert group == TransformGroup("fingers", (("thumb", 0.25), ("finger", 1.0)), ("frown",))
@@ -113,6 +102,7 @@ def rig(transforms: str, extra_text: str = "") -> str:
 
 
 RESTS = "[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [1, 2, 3, 1]]"
+STILL = "[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]"
 RIGS = [
     (rig('{"a": ["b"], "c": ["b"], "b": []}'), "bad-rig", '"b"', "delete `b` below one of them"),
     (rig('{"a": ["b"], "b": ["a"]}'), "bad-rig", '"b"', "delete `b` here, so that one of them is a root"),
@@ -135,7 +125,7 @@ RIGS = [
     (rig('{"a": []}', ', "channels": {"c": {"default_value": 1e39}}'), "out-of-range", "1e39", None),
     (rig('{"a": []}', f', "antdsl_rest": {{"a": {RESTS}}}'), "wrong-value", "[", "write the translation into the last column"),
     (rig('{"a": []}', ', "antdsl_rest": {"a": [[1, 0, 0, 0], [0, 1, 0, 0]]}'), "wrong-value", "[", None),
-    (rig('{"arm": []}', ', "antdsl_rest": {"arms": []}'), "unknown-key", '"arms"', 'write `"arm"`'),
+    (rig('{"arm": []}', f', "antdsl_rest": {{"arms": {STILL}}}'), "unknown-key", '"arms"', 'write `"arm"`'),
 ]  # fmt: skip
 LAYERS = [
     ('{"version": 1, "name": "x"}', "wrong-value", "1", "write `2`, if the file is in that form"),
@@ -151,6 +141,9 @@ LAYERS = [
      "out-of-range", "-1", "write `0`"),
     ('{"version": 2, "name": "x", "static": [{"transform": "a", "shape": "s", "bounds_scale": [1, true, 1]}]}',
      "wrong-value", "true", None),
+    ('{"version": 2, "name": null}', "wrong-value", "null", "leave the key out"),
+    ('{"version": 2, "name": "x", "static": [null]}', "wrong-value", "null", "delete it"),
+    ('{"version": 2, "name": "x", "static": [1, 2]}', "wrong-value", "[", None),
 ]  # fmt: skip
 GROUPS = [
     ('{"version": 2, "name": "x", "members": [{"name": "a", "weight": 1.5}]}', "out-of-range", "1.5", "write `1`"),
@@ -169,18 +162,17 @@ METADATAS = [
     ("[1]", "wrong-value", "[", None),
 ]
 CASES = [
-    *((text, "a rig", read_rig, *rest) for text, *rest in RIGS),
-    *((text, "a layer", read_layer, *rest) for text, *rest in LAYERS),
-    *((text, "a transform group", read_group, *rest) for text, *rest in GROUPS),
-    *((text, "metadata", read_metadata, *rest) for text, *rest in METADATAS),
+    (text, READERS[kind], *rest)
+    for kind, cases in (("rig", RIGS), ("layer", LAYERS), ("group", GROUPS), ("metadata", METADATAS))
+    for text, *rest in cases
 ]
 
 
-@pytest.mark.parametrize(("text", "what", "read", "code", "marked", "help"), CASES, ids=[case[0][:70] for case in CASES])
+@pytest.mark.parametrize(("text", "read", "code", "marked", "help"), CASES, ids=[case[0][:70] for case in CASES])
 def test_a_mistake_is_reported_at_its_place_with_what_to_write(
-    text: str, what: str, read: Callable[..., Any], code: str, marked: str, help: str | None
+    text: str, read: Reader, code: str, marked: str, help: str | None
 ) -> None:
-    part, report = read_part(text.encode(), "x.json", what, read)
+    part, report = read_part(text.encode(), read)
     assert part is None
     (error,) = report.errors
     assert error.span is not None and (error.code, error.span.text, error.help) == (code, marked, help), error
@@ -188,15 +180,15 @@ def test_a_mistake_is_reported_at_its_place_with_what_to_write(
 
 def test_additions_of_others_to_a_documented_form_are_reported_and_read() -> None:
     text = '{"version": 2, "name": "x", "colour": 1, "members": [{"name": "a", "side": "left"}]}'
-    part, report = read_part(text.encode(), "x.json", "a transform group", read_group)
+    part, report = read_part(text.encode(), READERS["group"])
     assert part == TransformGroup("x", (("a", 1.0),))
     assert [(each.severity, each.code) for each in report.diagnostics] == [("warning", "unknown-key")] * 2
 
 
 def test_bytes_that_are_no_text_and_too_many_joints_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert read_part(b"\xff\xfe{}", "x.json", "a rig", read_rig)[1].errors[0].code == "not-utf8"
+    assert read_part(b"\xff\xfe{}", READERS["rig"])[1].errors[0].code == "not-utf8"
     monkeypatch.setattr(limits, "JOINTS", 2)
-    assert read_part(RIG.encode(), "x.json", "a rig", read_rig)[1].errors[0].code == "too-large"
+    assert read_part(RIG.encode(), READERS["rig"])[1].errors[0].code == "too-large"
 
 
 def test_a_deep_rig_is_read_without_recursion() -> None:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from body_parts import READERS, clip_reader, read_part
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Channel, Clip, Rig
 from antdsl.bodies.agents.transforms import matrix_of, rotation_of_angles
-from antdsl.bodies.files.clip_document import read_clip, write_clip
-from antdsl.bodies.files.documents import read_part
+from antdsl.bodies.files.clip_document import write_clip
 from antdsl.diagnostics import Report
 
 ARM = np.eye(4)
@@ -19,7 +19,7 @@ RIG = Rig(("root", "arm"), np.array([-1, 0], np.int32), np.array([np.eye(4), ARM
 
 def clip_of(channels: str, extra_text: str = "", rig: Rig | None = None) -> tuple[Clip | None, Report]:
     text = f'{{"antdsl_clip": 1, "name": "walk", "rate": 10, {extra_text} "channels": {channels}}}'
-    return read_part(text.encode(), "walk.json", "a clip", lambda values, node: read_clip(values, node, rig))
+    return read_part(text.encode(), clip_reader(rig), "walk.json")
 
 
 TURNS = '"rotation_order": "zyx", "angles": "degrees",'
@@ -55,7 +55,7 @@ def test_a_clip_that_is_written_is_read_as_it_was() -> None:
         rng.uniform(0.5, 2, (30, 2, 3)).astype(np.float32), rng.normal(size=(30, 2, 3)).astype(np.float32),
         ("jaw",), rng.uniform(size=(30, 1)).astype(np.float32), False, 2.5, {"left": 0.25},
     )  # fmt: skip
-    again, report = read_part(write_clip(clip).encode(), "x.json", "a clip", read_clip)
+    again, report = read_part(write_clip(clip).encode(), READERS["clip"])
     assert again is not None and again.shear is not None and clip.shear is not None, report.diagnostics
     for a, b in ((clip.translation, again.translation), (clip.scale, again.scale), (clip.shear, again.shear)):
         assert (a == b).all()

@@ -7,13 +7,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from commands import run
 
 from antdsl.bodies.agents.definition import Binding, Layer, language_names
 from antdsl.bodies.crowd_bodies import body_room, clip_data
 from antdsl.bodies.files import reading
 from antdsl.bodies.files.reading import read_definition
+from antdsl.bodies.files.writing import write_gltf
 from antdsl.bodies.library import library_body
 from antdsl.diagnostics import Report
+from antdsl.outputs.cache.cache_reader import open_cache
+from antdsl.outputs.gallery import Gallery
 from antdsl.pipeline import Shot, check_path, check_scene_text, open_scene
 from antdsl.runtime import bind, step
 
@@ -75,6 +79,21 @@ def test_a_run_goes_by_the_clips_of_the_body(folder: Path) -> None:
     assert turn_differences * 1200 * 24 == pytest.approx(
         speed[walking], rel=1e-2
     )  # 1.2 m of ground a turn; the speed is that of the step before
+
+
+def test_a_gltf_file_in_the_folder_is_a_body(folder: Path) -> None:
+    body, _ = read_definition(folder / "walker.json")
+    assert body is not None
+    (folder / "animals").mkdir()
+    (folder / "animals" / "dancer.glb").write_bytes(write_gltf(body, body.layers["body"], text=False)[0])
+    program = PROGRAM.replace("wave(on: arms)", "wave")
+    scene = written(folder, program, CROWD.replace("walker.json", "animals/dancer.glb"))
+    dancer = opened(scene).bodies["walker"]
+    assert (dancer.name, sorted(dancer.clips), dancer.front) == ("dancer", sorted(body.clips), (0.0, 0.0, 1.0))
+    result = run("run", "scene.yaml", "--frames", "1..2", "--out", "cache", cwd=folder)
+    assert result.returncode == 0, result.stderr
+    drawn = Gallery(open_cache(folder / "cache")).picture(2).crowds[0]
+    assert drawn.worn is not None and drawn.worn.name == "dancer" and len(drawn.position) == 3
 
 
 def test_a_body_takes_the_room_of_its_box(folder: Path) -> None:

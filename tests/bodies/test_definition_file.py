@@ -13,7 +13,7 @@ import pytest
 from antdsl import limits
 from antdsl.bodies.agents.definition import Blend, Definition, InBetweens
 from antdsl.bodies.files.clip_document import write_clip
-from antdsl.bodies.files.definition_parts import TypedValue
+from antdsl.bodies.files.documents import TypedValue
 from antdsl.bodies.files.named_files import BodyFiles
 from antdsl.bodies.files.reading import read_definition
 from antdsl.diagnostics import Diagnostic
@@ -147,6 +147,21 @@ def test_a_unit_may_be_a_number_of_millimetres(folder: Path) -> None:
         assert error_of(folder, rig=RIG, units=text)[0] == "wrong-value"
 
 
+def test_a_shape_has_units_as_a_definition_has_them(folder: Path) -> None:
+    shapes = [{"file": "sword.obj", "name": name, "units": units} for name, units in (("a", "cm"), ("b", "5 mm"))]
+    body = fine(folder, rig=RIG, length=1, units="0.5 cm", shapes=shapes)
+    assert [body.shapes[name].points.max() for name in "ab"] == [20, 10]
+
+
+def test_one_finding_of_a_kind_is_reported_at_each_place(folder: Path) -> None:
+    layer = {"version": 2, "name": "a", "static": [{"bounds_scale": [1]}]}
+    rig = {**RIG, "antdsl_rest": {"hand": [[1, 0, 0, 0]]}}
+    _, diagnostics = read(folder, rig=rig, layers=[layer])
+    assert sorted(each.message for each in diagnostics) == [
+        "`bounds_scale` has 1 value: too few", "`hand` has 1 value: too few", "a binding has no `transform`",
+    ]  # fmt: skip
+
+
 def test_one_shape_of_a_file_and_two_of_a_name(folder: Path) -> None:
     shapes = [{"file": "arm.glb", "shape": "arm.smile", "name": "mask"}]
     assert list(fine(folder, rig=RIG, length=1, shapes=shapes).shapes) == ["mask"]
@@ -217,6 +232,8 @@ def test_a_library_is_found_by_its_condensed_path_or_where_a_root_grants_the_abs
         ({"rig": RIG, "groups": [GROUP, GROUP]}, "duplicate-name", None, "keep one of them"),
         ({"rig": RIG, "clips": [CLIP, CLIP]}, "duplicate-name", None, "keep one of them"),
         ({"rig": RIG, "clips": [{"clip": "wave"}]}, "unknown-name", '"wave"', None),
+        ({"rig": RIG, "shapelib_includes": [["a.glb"]]}, "wrong-value", '["a.glb"]', 'write `["$HIP/lib.glb", "/…/lib.glb"]`'),
+        ({"rig": RIG, "shapes": [{"file": "sword.obj", "units": "6 in"}]}, "wrong-value", '"6 in"', 'write `"mm"`, or `"6 mm"`'),
         ({"rig": RIG, "shapes": [{"name": "a"}]}, "missing-key", "{", 'add `"file": "sword.obj"`'),
         ({"rig": RIG, "shapes": [{"file": "sword.obj", "name": "s"}], "layers": [{"version": 2, "name": "x",
           "deforming": [{"transform": "", "shape": "s", "deformer": "linearskinning"}]}]},

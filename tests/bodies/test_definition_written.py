@@ -14,10 +14,9 @@ from antdsl.bodies.agents.deformers import bound
 from antdsl.bodies.agents.machine_clips import MachineClips
 from antdsl.bodies.agents.other_axes import convert_axes
 from antdsl.bodies.agents.poses import clip_table
-from antdsl.bodies.files.definition_parts import TypedValue
-from antdsl.bodies.files.definition_written import definition_files
-from antdsl.bodies.files.gltf_written import write_gltf
+from antdsl.bodies.files.documents import TypedValue
 from antdsl.bodies.files.reading import read_definition
+from antdsl.bodies.files.writing import definition_files, write_gltf
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody, own_layer
 from tests.commands import run
@@ -51,6 +50,7 @@ AROUND = {
     "groups": [{"version": 2, "name": "arms", "members": [{"name": "elbow", "weight": 0.5}], "channels": [{"name": "load"}]}],
     "legs": [{"name": "only", "upper": "root", "lower": "elbow", "foot": "tip"}],
     "gaits": [{"name": "hop", "speed": 3, "stride": 1.5, "duty": 0.6, "lift": 0.25, "phases": [0.5]}], "idle": "bend",
+    "variation": {"scale": {"arms": [0.5, 2]}, "materials": {"wood": [[0.4, 0.3, 0.1], [0.1, 0.1, 0.1]]}},
     "metadata": {"who": "us", "size": {"type": "float", "value": 2}, "deep": {"list": [1, 2]}},
 }  # fmt: skip
 

@@ -11,8 +11,7 @@ from antdsl import resources
 from antdsl.bodies.agents.definition import Definition, Shape
 from antdsl.bodies.agents.deformers import DEFORMERS
 from antdsl.bodies.agents.machine_clips import MachineClips
-from antdsl.bodies.files.definition_checks import check_definition
-from antdsl.bodies.files.definition_document import Parts
+from antdsl.bodies.files.definition_checks import Parts, check_definition
 from antdsl.bodies.library import library_body
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.diagnostics import Report

@@ -58,6 +58,32 @@ def test_an_animation_that_no_skeleton_names_is_a_clip_too(body: Definition) -> 
     assert body.clips["Walk"].rate == 24.0 and body.clips["Walk"].values[5, 0] == pytest.approx(0.5)
 
 
+def with_custom_data(file: Path, custom_data: str) -> Path:
+    text = file.read_text(encoding="utf-8")
+    path = file.with_name("custom.usda")
+    path.write_text(text.replace('def SkelAnimation "Walk"', f'def SkelAnimation "Walk" (customData = {{{custom_data}}})'))
+    return path
+
+
+def test_custom_data_of_an_animation_holds_the_settings_of_its_clip(file: Path) -> None:
+    settings = "bool loop = 0; double stride = 1.5; bool feet = 0; dictionary marks = {double up = 0.25}"
+    definition, report = read_definition(with_custom_data(file, f"dictionary antdsl = {{{settings}}}"))
+    assert definition is not None and not report.diagnostics, report.diagnostics
+    walk, nod = definition.clips["Walk"], definition.clips["Nod"]
+    assert (walk.loop, walk.stride, walk.marks, walk.feet) == (False, 1.5, {"up": 0.25}, False)
+    assert (nod.loop, nod.stride, nod.marks, nod.feet) == (True, 0.0, {}, True)
+
+
+@pytest.mark.parametrize(
+    "custom_data",
+    ["double antdsl = 7", 'dictionary antdsl = {string stride = "far"}', "dictionary antdsl = {double stride = nan}"],
+)
+def test_other_custom_data_is_an_error(file: Path, custom_data: str) -> None:
+    definition, report = read_definition(with_custom_data(file, custom_data))
+    assert definition is None and [each.code for each in report.errors] == ["bad-body"]
+    assert "unknown customData `antdsl` in the clip `Walk`" in report.errors[0].message
+
+
 def test_points_are_where_usd_skins_them(body: Definition, file: Path) -> None:
     from pxr import Usd, UsdGeom, UsdSkel
 

@@ -89,7 +89,7 @@ def answers(scene: RayScene) -> dict[str, np.ndarray]:
     x, y, z = (np.ascontiguousarray(v, np.float32) for v in origin.T)
     size = np.sqrt((displacement**2).sum(axis=1))
     dx, dy, dz = (np.ascontiguousarray(v, np.float32) for v in (displacement / size[:, None]).T)
-    contacts = scene.cast_feelers(x, y, z, dx, dy, dz, size.astype(np.float32))
+    contacts = scene.cast_feelers((x, y, z), (dx, dy, dz), size.astype(np.float32))
     away = origin[:: len(origin) // 3000] + np.array([0.0, 3.0, 0.0])
     _, near, place, distance = scene.closest(away)
     touched = scene.nearest_within(*(np.ascontiguousarray(v, np.float32) for v in away.T), 20.0)

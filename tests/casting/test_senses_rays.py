@@ -79,7 +79,7 @@ def test_nothing_to_hit():
     hits = scene.cast(np.zeros((2, 3)), np.ones((2, 3)))
     assert np.isinf(hits.t).all() and not scene.occluded(np.zeros((2, 3)), np.ones((2, 3))).any()
     zero = np.zeros(2, np.float32)
-    assert not scene.cast_feelers(zero, zero, zero, zero, zero, zero + 1, 5.0).hit.any()
+    assert not scene.cast_feelers((zero, zero, zero), (zero, zero, zero + 1), 5.0).hit.any()
     assert np.isinf(scene.closest(np.zeros((2, 3)))[3]).all()
 
 
@@ -92,7 +92,7 @@ def test_feelers_find_what_rays_without_culling_find():
     turn = rng.uniform(0, 2 * np.pi, n)
     dx, dy, dz = np.cos(turn).astype(np.float32), np.zeros(n, np.float32), np.sin(turn).astype(np.float32)
     reach = rng.uniform(1, 25, n).astype(np.float32)
-    contacts = scene.cast_feelers(x, y, z, dx, dy, dz, reach)
+    contacts = scene.cast_feelers((x, y, z), (dx, dy, dz), reach)
     rays = np.stack([dx, dy, dz], axis=1).astype(np.float64) * reach[:, None]
     all_of_them = scene.cast(np.stack([x, y, z], axis=1).astype(np.float64), rays)
     expected = all_of_them.t <= 1.0

@@ -214,7 +214,7 @@ def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
     asking = np.arange(3000) % 2 == 0
     answers = []
     for which in (scene, far):
-        contacts = which.cast_feelers(*place, *direction, reach)
+        contacts = which.cast_feelers(place, direction, reach)
         gap, out = which.signed_distances(*place, reach)
         near = which.nearest_within(*place, reach)
         results = np.zeros(3000, np.bool_), np.full(3000, np.inf, np.float32), *np.zeros((3, 3000), np.float32)
@@ -230,7 +230,7 @@ def test_feelers_and_gaps_are_the_same_with_and_without_a_grid():
             answered_rows = np.setdiff1d(np.flatnonzero(asking), remaining_rows)
             x, y, z = (each[answered_rows] for each in direction)
             size = np.sqrt((x * x + y * y) + z * z)
-            same = which.cast_feelers(*(v[answered_rows] for v in place), x / size, y / size, z / size, reach[answered_rows])
+            same = which.cast_feelers([v[answered_rows] for v in place], (x / size, y / size, z / size), reach[answered_rows])
             hit, t, nx, *_ = (part[answered_rows] for part in results)
             assert np.array_equal(hit, same.hit) and np.array_equal(t, same.t) and np.array_equal(nx, same.nx)
     assert np.isfinite(answers[0][0]).sum() > 500 and (answers[0][4] < 0).any()

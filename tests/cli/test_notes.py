@@ -29,7 +29,7 @@ def walkers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
     monkeypatch.setattr(native_backend, "start_building", beside)
     monkeypatch.setattr(native_backend, "find_ready", lambda plan, facts: None)
-    monkeypatch.setattr(native_backend, "find", lambda plan, blocks, facts: None)  # stored by an earlier test
+    monkeypatch.setattr(native_backend, "find", lambda plan, blocks, facts: None)  # an earlier test may have stored the code
     monkeypatch.setattr(native_backend, "_MANY", 0)
     assert commands.run("new", "walkers", cwd=tmp_path).returncode == 0
     return tmp_path

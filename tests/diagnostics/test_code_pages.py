@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import code_pages
 import pytest
@@ -249,16 +250,30 @@ def test_every_meaning_of_every_word_has_its_sample() -> None:
     from antdsl.lsp import samples, words
     from antdsl.program.tables.vocabulary import BUILTINS, REDUCERS, TYPE_WORDS
 
-    pairs = [
-        (samples.INNER_FORMS, words.INNER_HELP), (samples.CALL_FORMS, BUILTINS), (samples.SET_FORMS, REDUCERS),
-        (samples.WHOLE_FORMS, words.WHOLE_HELP), (samples.KIND_FORMS, words.KINDS), (samples.SETTING_FORMS, words.SETTINGS),
-        (samples.SCENE_FORMS, words.SCENE_HELP), (samples.VALUE_FORMS, {**words.STATE_WORD_HELP, **words.WORD_HELP}),
-    ]  # fmt: skip
-    for forms, help in pairs:
-        assert set(forms) == set(help)
-        for word, form in forms.items():
-            assert word in form or word == "other", (word, form)
+    assert set(samples.CALL_FORMS) == set(BUILTINS) and set(samples.SET_FORMS) == set(REDUCERS)
+    rows = [samples.CALL_FORMS, samples.SET_FORMS, *(_samples_of(table) for table in _word_tables())]
+    for word, form in (each for forms in rows for each in forms.items()):
+        assert word in form or word == "other", (word, form)
     assert {word for word, dim in TYPE_WORDS.items() if isinstance(dim, str)} | {"number"} == set(words.TYPE_HELP)
+
+
+def _word_tables() -> list[Any]:
+    from antdsl.lsp import words
+    from antdsl.program.tables.things import KINDS_OF_THINGS
+
+    return [
+        words.INNER_WORDS,
+        words.WHOLES,
+        KINDS_OF_THINGS,
+        words.SETTINGS,
+        words.SCENE_KEYS,
+        words.WORDS_OF_STATES,
+        words.VALUES,
+    ]
+
+
+def _samples_of(table: Any) -> dict[str, str]:
+    return {word: row.sample for word, row in table.items()}
 
 
 AROUND = """ant 1
@@ -286,23 +301,17 @@ def test_samples_of_calls_and_sets_are_right() -> None:
 
 
 def test_samples_of_lines_and_scenes_can_be_read() -> None:
-    from antdsl.lsp.samples import INNER_FORMS, KIND_FORMS, SCENE_FORMS, SETTING_FORMS, VALUE_FORMS, WHOLE_FORMS
+    from antdsl.lsp.words import SCENE_KEYS
     from antdsl.scene.load import load_text
     from antdsl.scene.paths import Roots
     from antdsl.syntax import parse
 
     templates = ("{}", "species a {{ {} }}", "species a {{ state s {{ {} }} }}", 'spec "s" on "s.yaml" {{ {} }}')
     templates += ('spec "s" on "s.yaml" {{ each a {{ {} }} }}', "species a {{ let x = {} }}", "species a {{ on e {{ {} }} }}")
-    for form in (
-        *INNER_FORMS.values(),
-        *KIND_FORMS.values(),
-        *SETTING_FORMS.values(),
-        *VALUE_FORMS.values(),
-        *WHOLE_FORMS.values(),
-    ):
+    for form in (form for table in _word_tables() if table is not SCENE_KEYS for form in _samples_of(table).values()):
         texts = [f"ant 1\n{place.format(form)}\n" for place in templates]
         assert any(parse(Source("a.ant", text))[1].ok for text in texts), form
-    for form in SCENE_FORMS.values():
+    for form in _samples_of(SCENE_KEYS).values():
         text = form if form.startswith("antdsl:") else f"antdsl: 1\n{form}"
         report = load_text(f"{text}\n".encode(), "other.yaml", Roots(Path("."), {}))[1]
         assert not {error.code for error in report.errors} - {"no-such-file", "unknown-name", "wrong-path"}, (form, report.errors)

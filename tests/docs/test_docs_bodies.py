@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import commands
 import pytest
+from body_parts import READERS, read_part
 
-from antdsl.bodies.files.clip_document import PARTS, read_clip
-from antdsl.bodies.files.definition_document import KNOWN
-from antdsl.bodies.files.definition_parts import read_metadata
-from antdsl.bodies.files.documents import DOCUMENTED_DEFORMERS, read_group, read_layer, read_part, read_rig
+from antdsl.bodies.files.clip_document import PARTS
+from antdsl.bodies.files.definition_checks import DOCUMENTED_DEFORMERS
+from antdsl.bodies.files.document_model import BodyForm, keys_of
 from antdsl.bodies.files.named_files import _CLOSED
 from antdsl.bodies.files.reading import read_definition
 
 TEXT = (Path(__file__).resolve().parents[2] / "docs" / "bodies.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w+) ?(\w*)(?: file=(\S+))?\n(.*?)^```", TEXT, flags=re.MULTILINE | re.DOTALL)
-READERS: dict[str, Callable[..., Any]] = {
-    "rig": read_rig, "layer": read_layer, "group": read_group, "metadata": read_metadata, "clip": read_clip,
-}  # fmt: skip
 
 
 @pytest.fixture
@@ -37,7 +32,7 @@ def folder(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("kind", READERS)
 def test_each_part_is_read_as_the_page_says(kind: str) -> None:
     (text,) = [text for language, word, _, text in BLOCKS if (language, word) == ("json", kind)]
-    part, report = read_part(text.encode(), f"{kind}.json", f"a {kind}", READERS[kind])
+    part, report = read_part(text.encode(), READERS[kind])
     assert part is not None and not report.diagnostics, report.diagnostics
 
 
@@ -57,7 +52,7 @@ def test_the_command_tells_what_the_page_shows(folder: Path) -> None:
 
 def test_the_page_has_all_keys_parts_and_deformers_and_the_files_that_are_not_read() -> None:
     words = set(re.findall(r"`([^`\n]+)`", TEXT)) | {word for cell in re.findall(r"`([^`\n]+)`", TEXT) for word in cell.split()}
-    assert [key for key in KNOWN if key not in words] == []
+    assert [key for key in keys_of(BodyForm) if key not in words] == []
     assert [part for part in PARTS if part not in words] == []
     assert [name for name in DOCUMENTED_DEFORMERS if "+" not in name and name not in words] == []
     assert {"bclip", "bgeo", "fbx", "abc"} <= set(_CLOSED) and all(

@@ -46,10 +46,11 @@ def test_the_library_is_in_the_reference_as_it_is() -> None:
 
 
 def test_the_scene_page_has_all_the_keys() -> None:
-    from antdsl.scene import model
+    from antdsl.scene import model, thing_models
 
     text = (ROOT / "docs" / "scene.md").read_text(encoding="utf-8")
-    kinds = [kind for kind in vars(model).values() if isinstance(kind, type) and issubclass(kind, model.Part)]
+    defined = {**vars(model), **vars(thing_models)}.values()
+    kinds = [kind for kind in defined if isinstance(kind, type) and issubclass(kind, model.Part)]
     parts = [kind for kind in kinds if kind is not model.Part]
     keys = {field.alias or name for part in parts for name, field in part.model_fields.items()}
     assert len(parts) > 8

@@ -329,9 +329,9 @@ def test_a_ray_without_measure_ends_where_nothing_solid_is_left() -> None:
     feelers = SolidFeelers(ball())
     start, directions = 30 * random_directions(200, 4), -random_directions(200, 4) + 0.6 * random_directions(200, 5)
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    short, endless = (feelers.cast_feelers(*start.T, *directions.T, reach) for reach in (90.0, 3e38))
+    short, endless = (feelers.cast_feelers(start.T, directions.T, reach) for reach in (90.0, 3e38))
     assert 50 < short.hit.sum() < 200
     for name in ("hit", "t", "nx", "ny", "nz"):
         assert np.array_equal(getattr(short, name), getattr(endless, name))
-    far = feelers.cast_feelers(*np.array([[1e6, 0, 0], [1e6, 90, 0]]).T, *np.array([[-1.0, 0, 0]] * 2).T, 3e38)
+    far = feelers.cast_feelers(np.array([[1e6, 0, 0], [1e6, 90, 0]]).T, np.array([[-1.0, 0, 0]] * 2).T, 3e38)
     assert far.hit.tolist() == [True, False] and abs(far.t[0] - (1e6 - 12)) < 0.5

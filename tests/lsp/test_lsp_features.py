@@ -231,10 +231,7 @@ async def test_blocks_fold(client) -> None:
 async def test_tokens_say_what_words_are(client) -> None:
     identifier = lsp.TextDocumentIdentifier(client.program)
     tokens = await client.text_document_semantic_tokens_full_async(lsp.SemanticTokensParams(identifier))
-    from antdsl.lsp.features.tokens import list_tokens
-    from antdsl.lsp.text import Text
-
-    words = list_tokens(list(tokens.data), Text(FORAGER))
+    words = _token_texts(tokens.data)
     for pair in [
         ("species", "keyword"), ("forager", "class"), ("smell", "property"), ("40 mm", "number"), ("nearest", "function"),
         ("wander", "function"), ("swing", "parameter"), ("carry", "enumMember"), ("# body length", "comment"), ("->", "operator"),
@@ -246,7 +243,21 @@ async def test_tokens_say_what_words_are(client) -> None:
     )
     part_range = lsp.Range(lsp.Position(30, 0), lsp.Position(31, 0))
     part = await client.text_document_semantic_tokens_range_async(lsp.SemanticTokensRangeParams(identifier, part_range))
-    assert list_tokens(list(part.data), Text(FORAGER))[:3] == [("let", "keyword"), ("meal", "property"), ("=", "operator")]
+    assert _token_texts(part.data)[:3] == [("let", "keyword"), ("meal", "property"), ("=", "operator")]
+
+
+def _token_texts(data: list[int]) -> list[tuple[str, str]]:
+    """Tokens of the forager's program, with their text."""
+    from antdsl.lsp.features.tokens import TYPES
+    from antdsl.lsp.text import Text
+
+    text, line, column, pairs = Text(FORAGER), 0, 0, []
+    for number in range(0, len(data), 5):
+        down, along, length, kind, _ = data[number : number + 5]
+        line, column = line + down, along if down else column + along
+        start = text.offset(line, column)
+        pairs.append((text.text[start : text.offset(line, column + length)], TYPES[kind]))
+    return pairs
 
 
 def _without_signs(text: str) -> list[str]:

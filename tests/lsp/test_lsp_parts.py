@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from antdsl.lsp.features.navigation import rename
+from antdsl.lsp.features.navigation import rename_symbol
 from antdsl.lsp.workspace import Workspace
 
 
@@ -82,7 +82,7 @@ def test_a_rename_reaches_scenes_that_extend_each_other(tmp_path: Path, opened: 
     offset = document.text.text.index(name)
     texts: dict[Path, str] = {}
     for each in sorted(
-        rename(workspace, document, offset, "other"), key=lambda occurrence: -occurrence.document.start(occurrence.span)
+        rename_symbol(workspace, document, offset, "other"), key=lambda occurrence: -occurrence.document.start(occurrence.span)
     ):
         path, text = each.document.path, texts.get(each.document.path, each.document.text.text)
         texts[path] = text[: each.document.start(each.span)] + "other" + text[each.document.end(each.span) :]

@@ -21,11 +21,11 @@ import numpy as np
 
 from antdsl.machine_code import machine, shipped
 from antdsl.machine_code.kernels import KernelFault, NotInSubset
-from antdsl.machine_code.kernels.interpret import Interpreter
 from antdsl.machine_code.kernels.ir import InvalidCode
 from antdsl.machine_code.kernels.kernel import Kernel, text_of
 
 sys.path.insert(0, str(Path(__file__).parent))
+from kernel_interpreter import Interpreter
 from random_kernel_source import OUTPUTS, module_of
 
 BATCH = 40  # kernels of one module

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from children import child_environment
+from kernel_interpreter import interpret
 
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels import (
@@ -28,7 +29,6 @@ from antdsl.machine_code.kernels import (
     kernel,
     scratch,
 )
-from antdsl.machine_code.kernels.interpret import interpret
 from antdsl.machine_code.kernels.ir import InvalidCode, verify
 from antdsl.machine_code.kernels.kernel import Kernel, text_of
 from antdsl.machine_code.kernels.side_by_side import write_function

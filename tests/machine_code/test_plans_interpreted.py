@@ -9,10 +9,10 @@ from typing import Any
 import plans
 import pytest
 from compilers import need_llvmlite
+from kernel_interpreter import interpreted_function
 
 from antdsl.machine_code import lanes, machine
 from antdsl.machine_code.kernels import rendering
-from antdsl.machine_code.kernels.interpret import interpreted_function
 from antdsl.machine_code.kernels.ir import Function
 from antdsl.runtime import Options, bind, state_hash, step
 from antdsl.runtime.backends.native import ready, stored

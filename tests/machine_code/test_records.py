@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
+from kernel_interpreter import interpret
 
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, NotInSubset, called, independent, inlined, kernel, sources
-from antdsl.machine_code.kernels.interpret import interpret
 from antdsl.machine_code.kernels.kernel import Kernel
 
 pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be made here")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from kernel_interpreter import Interpreter
 
 from antdsl.machine_code import machine
 from antdsl.machine_code.kernels import (
@@ -24,7 +25,6 @@ from antdsl.machine_code.kernels import (
     put_three,
     three,
 )
-from antdsl.machine_code.kernels.interpret import Interpreter
 from antdsl.machine_code.kernels.kernel import text_of
 
 pytestmark = pytest.mark.skipif(not machine.is_available(), reason="no machine code can be made here")

@@ -31,7 +31,7 @@ from antdsl.program.tables.vocabulary import BUILTINS, COSTS, INTERVALS, SENSED_
 from antdsl.program.types import sets
 from antdsl.runtime import Options, bind, phases, sensing, step
 from antdsl.runtime.world import World
-from antdsl.scene.model import MODELS
+from antdsl.scene.kinds import KINDS
 from antdsl.syntax.verbs import VERBS
 from antdsl.syntax.words import WORLD_KINDS
 
@@ -160,11 +160,12 @@ def test_a_request_that_is_not_as_its_row_says_is_refused(request_: ir.Request, 
 def test_every_kind_of_thing_has_its_word_its_kind_and_its_list() -> None:
     assert tuple(KINDS_OF_THINGS) == WORLD_KINDS
     plan = plan_of("species ant {}\n")
-    assert set(plan.things) == set(MODELS) - {"items"} == set(KINDS_OF_THINGS) - {"items", "species"}
+    assert set(plan.things) == set(KINDS) - {"items"} == set(KINDS_OF_THINGS) - {"items", "species"}
     for row in KINDS_OF_THINGS.values():
         assert Kind(row.word) and row.help and row.word in row.sample
-        assert set(row.serves) <= set(KINDS_OF_THINGS)
-        assert bool(row.scene_form) == bool(row.scene) == bool(row.snippet) == (row.word in MODELS)
+        assert set(row.replaces) <= set(KINDS_OF_THINGS)
+        assert bool(row.scene_form) == bool(row.scene) == bool(row.snippet) == (row.word in KINDS)
+        assert {row.nearest, row.touching} <= {"", *ir.OPS}
         assert row.snippet.partition(":")[0].strip("{}$1:") == row.scene.partition(":")[0].strip("{") or row.word == "items"
 
 

@@ -11,7 +11,7 @@ from meaning import FAST, OPTION_SETS, RunHistory, crowd, play
 from test_program import checked
 from test_specs import GROUND
 
-from antdsl.cli.new import FILES, ground
+from antdsl.cli.new import FILES, file_text, ground
 from antdsl.explain import CacheHistory, Replay, explain, explain_agents, open_shot, tell
 from antdsl.pipeline import open_scene
 from antdsl.plan.lowering.source_map import RESTS
@@ -125,10 +125,10 @@ def test_explain_says_why_it_stands_still(tmp_path: Path, rest: str, words: str)
 
 
 def test_the_ants_of_a_new_project_rest_where_they_are(tmp_path: Path) -> None:
-    for name, text in FILES:
+    for name in FILES:
         path = tmp_path / name
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(text)
+        path.write_text(file_text(name))
     (tmp_path / "ground.ply").write_bytes(ground())
     shot, report = open_scene(tmp_path / "scene.yaml")
     assert shot is not None, report.sorted()

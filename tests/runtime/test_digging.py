@@ -288,18 +288,18 @@ def test_feelers_meet_a_ball_where_it_is_and_run_along_it_free():
     direction /= np.linalg.norm(direction, axis=1)[:, None]
     start = -direction * 32.0 + np.cross(direction, [0.3, 0.5, 0.8]) * 9.0
     off = np.linalg.norm(np.cross(direction, [0.3, 0.5, 0.8]), axis=1) * 9.0
-    hits = feel.cast_feelers(*start.T, *direction.T, 60.0)
+    hits = feel.cast_feelers(start.T, direction.T, 60.0)
     assert hits.hit.all()
     assert hits.t == pytest.approx(32.0 - np.sqrt(400 - off**2), abs=0.35)
     hit_points = start + hits.t[:, None] * direction
     normal = np.stack([hits.nx, hits.ny, hits.nz], axis=1)
     assert ((normal * hit_points).sum(axis=1) > 0.97 * np.linalg.norm(hit_points, axis=1)).all()
-    assert not feel.cast_feelers(*start.T, *direction.T, 11.0).hit.any(), "nothing so near"
+    assert not feel.cast_feelers(start.T, direction.T, 11.0).hit.any(), "nothing so near"
     on = ball.project(direction * 20.0, direction).points
     side = np.cross(direction, [0.1, 0.9, 0.2])
     side /= np.linalg.norm(side, axis=1)[:, None]
-    assert not feel.cast_feelers(*on.T, *side.T, 6.0).hit.any(), "along its surface"
-    assert feel.cast_feelers(*on.T, *-direction.T, 6.0).hit.all(), "into it"
+    assert not feel.cast_feelers(on.T, side.T, 6.0).hit.any(), "along its surface"
+    assert feel.cast_feelers(on.T, -direction.T, 6.0).hit.all(), "into it"
     for away, error in ((2.0, 0.1), (30.0, 2.0)):
         near = feel.nearest_within(*(direction * (20 + away)).T, np.inf)
         assert near.t == pytest.approx(away, abs=error)

@@ -4,6 +4,7 @@ from itertools import product
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from antdsl.fields import cells as cell_tables
 from antdsl.fields.cells import SurfaceCells
@@ -32,7 +33,8 @@ class Plainly:
             self.land()
         if diffusion:
             flow = self.field._laplacian
-            change = flow._inward @ self.values - flow._out * self.values
+            data, columns, starts = flow._links
+            change = csr_array((data, columns, starts), 2 * self.values.shape) @ self.values - flow._out * self.values
             self.values = self.values + diffusion * dt / self.field.cells.cell**2 * change
         self.values = self.values * float(np.float32(keep))
         if not self.field.deposits_first:

@@ -39,8 +39,8 @@ def feel(scene: RayScene, place: np.ndarray, step: np.ndarray, margin: np.ndarra
     """Which agents meet a face on their step, how much of it is free, and the normals of the faces."""
     size = np.linalg.norm(step, axis=0)
     going = np.flatnonzero(size > 1e-9)
-    rays = (*place[:, going], *unit(step[:, going]), size[going] + margin[going])
-    hits = scene.cast_feelers(*(np.float32(each) for each in rays))
+    rays = np.float32([*place[:, going], *unit(step[:, going]), size[going] + margin[going]])
+    hits = scene.cast_feelers(rays[:3], rays[3:6], rays[6])
     hit_rows, hit = going[hits.hit], hits.hit
     return (
         hit_rows,

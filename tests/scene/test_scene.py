@@ -12,7 +12,7 @@ import pytest
 from antdsl.diagnostics import Report
 from antdsl.scene import Roots, Scene, load_text
 from antdsl.scene.load import load
-from antdsl.scene.model import MeshThing
+from antdsl.scene.thing_models import MeshThing
 
 CASES = Path(__file__).parents[1] / "cases" / "scene"
 

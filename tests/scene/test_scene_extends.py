@@ -11,7 +11,7 @@ from antdsl.diagnostics import Report
 from antdsl.pipeline import open_scene
 from antdsl.scene import Scene
 from antdsl.scene.load import load
-from antdsl.scene.model import MeshThing
+from antdsl.scene.thing_models import MeshThing
 
 PROGRAM = """ant 1
 use steering

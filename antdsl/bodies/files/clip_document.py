@@ -1,4 +1,5 @@
-"""A clip as JSON text, in a form of our own with the documented channel names (`joint:tx … joint:shear3`), read and written."""
+"""A clip as JSON text, in a form of our own with the documented channel names (`joint:tx … joint:shear3`): built from its model,
+and written."""
 
 from __future__ import annotations
 
@@ -10,153 +11,82 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Clip, Rig
-from antdsl.bodies.agents.transforms import ORDERS, align_signs, angles_of_rotation, parts_of, rotation_of_angles
-from antdsl.bodies.files.checked_values import Values
+from antdsl.bodies.agents.transforms import align_signs, angles_of_rotation, parts_of, rotation_of_angles
+from antdsl.bodies.files.document_model import ClipForm
 from antdsl.bodies.files.documents import json_text
-from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.json_text import Node, find_span, report_unknown
+from antdsl.diagnostics import Report
 
 Floats = NDArray[np.float64]
 PARTS = ("tx", "ty", "tz", "rx", "ry", "rz", "sx", "sy", "sz", "shear1", "shear2", "shear3")
 _STILL = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
-_KNOWN = ("antdsl_clip", "name", "rate", "rotation_order", "angles", "loop", "stride", "marks", "feet", "channels")
 
 
-def read_clip(values: Values, node: Node, rig: Rig | None = None) -> Clip | None:
-    """Read a clip. Parts of a joint that the text leaves out are those of the rig's rest pose (without a rig: of the identity
-    transform). Joints that the rig does not have are reported and left out."""
-    needed = {"antdsl_clip": "1", "name": '"…"', "rate": "24", "channels": "{}"}
-    entries = values.object(node, "a clip", _KNOWN, needed)
-    if entries is None or any(key not in entries for key in needed):
+def build_clip(form: ClipForm, root: Node, report: Report, rig: Rig | None = None) -> Clip | None:
+    """Return a clip, or None if it has mistakes. Parts of a joint that the text leaves out are those of the rig's rest pose
+    (without a rig: of the identity transform). Joints that the rig does not have are reported and left out."""
+    findings = Report()
+    samples = max(len(each) for each in form.channels.values())
+    joints, numbers = _split_channels(form, root, findings, rig)
+    columns = len(joints) + len(numbers)
+    if samples > limits.CLIP_SAMPLES or samples * columns * 13 * 8 > limits.CLIP_BYTES:
+        words = f"a clip of {samples:,} samples of {columns:,} joints and channels is larger than is read"
+        findings.error("too-large", words, find_span(root, ("channels",)), "give fewer samples a second")
+    check_marks(form.marks, (samples - 1) / form.rate, root, findings)
+    report.extend(findings)
+    if not findings.ok:
         return None
-    values.version(entries, "antdsl_clip", 1)
-    name = values.text(entries["name"], "the name of a clip")
-    rate = values.number(entries["rate"], "samples a second", 0.001, 100_000)
-    channels = _channels(values, entries["channels"])
-    stride = values.number(entries.get("stride"), "a stride", 0.0) or 0.0
-    loop = values.boolean(entries.get("loop"), "whether the clip loops", True)
-    feet = values.boolean(entries.get("feet"), "whether feet stand while it plays", True)
-    if name is None or rate is None or not channels:
-        return None
-    samples = max(len(array) for _, array in channels.values())
-    joints, numbers = _joints(values, entries["channels"], channels, rig)
-    if not _is_within_limits(values, entries["channels"], samples, len(joints) + len(numbers)):
-        return None
-    marks = read_marks(values, entries.get("marks"), (samples - 1) / rate)
-    turn = _read_rotation_order(values, entries, any(":r" in channel for channel in channels))
-    if turn is None or not values.report.ok:
-        return None
+    channels, unit = form.channels, 1.0 if form.angles == "radians" else np.pi / 180
     parts = np.empty((samples, len(joints), 12))
     parts[:] = _rest_parts(joints, rig)
     rotation = np.empty((samples, len(joints), 4))
     for number, joint in enumerate(joints):
         for count, part in enumerate(PARTS):
             if f"{joint}:{part}" in channels:
-                parts[:, number, count] = channels[f"{joint}:{part}"][1]
+                parts[:, number, count] = channels[f"{joint}:{part}"]
         if any(f"{joint}:{part}" in channels for part in PARTS[3:6]):
-            rotation[:, number] = rotation_of_angles(parts[:, number, 3:6] * turn[1], turn[0])
+            rotation[:, number] = rotation_of_angles(parts[:, number, 3:6] * unit, form.rotation_order or "xyz")
         else:
             rotation[:, number] = rotation_of_angles(_rest_parts((joint,), rig)[:, 3:6], "xyz")
     sheared = bool((parts[..., 9:] != 0).any())
-    weights = np.array([np.broadcast_to(channels[channel][1], samples) for channel in numbers]).reshape(len(numbers), samples).T
+    weights = np.array([np.broadcast_to(channels[channel], samples) for channel in numbers]).reshape(len(numbers), samples).T
     return Clip(
-        name, rate, joints,
+        form.name, form.rate, joints,
         parts[..., 0:3].astype(np.float32), align_signs(rotation).astype(np.float32), parts[..., 6:9].astype(np.float32),
         parts[..., 9:12].astype(np.float32) if sheared else None,
-        numbers, np.ascontiguousarray(weights, np.float32), loop, stride, marks, feet,
+        numbers, np.ascontiguousarray(weights, np.float32), form.loop, form.stride, form.marks, form.feet,
     )  # fmt: skip
 
 
-def _channels(values: Values, node: Node) -> dict[str, tuple[Node, Floats]]:
-    """Return the samples of each channel: the same number for all, or one for a constant channel."""
-    if not isinstance(node.value, dict) or not node.value:
-        values.report_wrong(node, "an object of channels, each with a list of its samples,", 'write `{"JOINT:tx": [0, 1]}`')
-        return {}
-    channels: dict[str, tuple[Node, Floats]] = {}
-    longest, first = 1, ""
-    for channel, each in node.value.items():
-        if isinstance(each.value, int | float):
-            number = values.number(each, "a sample")
-            array = None if number is None else np.array([number])
-        else:
-            array = values.numbers(each, "samples")
-        if array is None:
-            continue
-        if not len(array):
-            values.report.error("wrong-value", f"`{channel[:60]}` has no samples", values.span(each), "leave the channel out")
-            continue
-        if len(array) > 1 and longest > 1 and len(array) != longest:
-            words = f"`{channel[:60]}` has {len(array):,} samples, but `{first[:60]}` has {longest:,}"
-            values.report.error("wrong-value", words, values.key_span(node, channel), "give all the same number, or a single one")
-            continue
-        if len(array) > longest:
-            longest, first = len(array), channel
-        channels[channel] = (each, array)
-    return channels
-
-
-def _joints(
-    values: Values, node: Node, channels: Mapping[str, tuple[Node, Floats]], rig: Rig | None
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _split_channels(form: ClipForm, root: Node, report: Report, rig: Rig | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the joints that the channels move, and the channels that are numbers of the rig, in the order of the text."""
     joints: dict[str, None] = {}
     numbers: list[str] = []
-    own = None if rig is None else {each.name for each in rig.channels}
+    rig_channels = None if rig is None else {each.name for each in rig.channels}
     names = None if rig is None else set(rig.names)
-    for channel in channels:
+    for channel in form.channels:
         joint, colon, part = channel.rpartition(":")
-        if not colon or (own is not None and channel in own):
-            numbers.append(channel)
-            if own is not None and channel not in own:
-                numbers.pop()
-                values.report_unknown(values.key_span(node, channel), "channel", channel, own, warn=True)
+        place = find_span(root, ("channels", channel), key=True)
+        if not colon or (rig_channels is not None and channel in rig_channels):
+            if rig_channels is None or channel in rig_channels:
+                numbers.append(channel)
+            else:
+                report_unknown(report, place, "channel", channel, rig_channels, warn=True)
         elif part not in PARTS:
-            values.report_unknown(values.key_span(node, channel), "part of a transform", part, PARTS)
+            report_unknown(report, place, "part of a transform", part, PARTS)
         elif names is not None and joint not in names:
-            values.report_unknown(values.key_span(node, channel), "joint", joint, names, warn=True)
+            report_unknown(report, place, "joint", joint, names, warn=True)
         else:
             joints[joint] = None
     return tuple(joints), tuple(numbers)
 
 
-def _is_within_limits(values: Values, node: Node, samples: int, columns: int) -> bool:
-    if samples > limits.CLIP_SAMPLES or samples * columns * 13 * 8 > limits.CLIP_BYTES:
-        words = f"a clip of {samples:,} samples of {columns:,} joints and channels is larger than is read"
-        values.report.error("too-large", words, values.start_span(node), "give fewer samples a second")
-        return False
-    return True
-
-
-def read_marks(values: Values, node: Node | None, seconds: float) -> dict[str, float]:
-    """Moments of a clip by name, in seconds from its first sample."""
-    if node is None:
-        return {}
-    if not isinstance(node.value, dict):
-        values.report_wrong(node, "an object of marks with their seconds", 'write `{"NAME": 0.5}`')
-        return {}
-    marks = {}
-    for name, each in node.value.items():
-        mark_time = values.number(each, f"the time of the mark `{name[:40]}`", 0.0, seconds)
-        if mark_time is not None:
-            marks[name] = mark_time
-    return marks
-
-
-def _read_rotation_order(values: Values, entries: Mapping[str, Node], has_rotations: bool) -> tuple[str, float] | None:
-    """Return the rotation order of the axes, and the radians in one unit of the angles; the text must state both if there are
-    angles."""
-    order, angles = entries.get("rotation_order"), entries.get("angles")
-    if has_rotations and (order is None or angles is None):
-        missing = '"rotation_order": "xyz"' if order is None else '"angles": "degrees"'
-        head = values.key_span(entries["channels"], next(c for c in entries["channels"].keys if ":r" in c))
-        values.report.error("missing-key", "a clip with rotations must state their order and unit", head, f"add `{missing}`")
-        return None
-    for node, known in ((order, ORDERS), (angles, ("degrees", "radians"))):
-        if node is not None and node.value not in known:
-            text = "`, `".join(known)
-            values.report.error("wrong-value", f"this must be one of `{text}`", values.span(node), f'write `"{known[0]}"`')
-            return None
-    radians = angles is not None and angles.value == "radians"
-    return (str(order.value) if order is not None else "xyz"), (1.0 if radians else np.pi / 180)
+def check_marks(marks: Mapping[str, float], seconds: float, root: Node, report: Report) -> None:
+    """Report marks after the end of a clip."""
+    for name, mark_time in marks.items():
+        if mark_time > seconds:
+            words, place = f"the mark `{name[:40]}` is after the end of the clip", find_span(root, ("marks", name))
+            report.error("out-of-range", words, place, f"write `{seconds:g}`")
 
 
 def _rest_parts(joints: tuple[str, ...], rig: Rig | None) -> Floats:

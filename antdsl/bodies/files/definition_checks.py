@@ -1,21 +1,46 @@
-"""Checks that need the complete definition: that named parts exist, that deformers have what they need, and how long the body
-is."""
+"""Checks that need the complete definition: that named parts exist, that deformers, legs and gaits have what they need, and how
+long the body is."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
 from antdsl import limits
 from antdsl.bodies.agents.boxes import rest_box
-from antdsl.bodies.agents.definition import Binding, Definition, Shape
-from antdsl.bodies.files.definition_document import Parts, Place
-from antdsl.bodies.files.definition_parts import check_legs, find_misnamed
-from antdsl.bodies.files.documents import DEFORMERS, DOCUMENTED_DEFORMERS
-from antdsl.diagnostics import Report
+from antdsl.bodies.agents.definition import Binding, Definition, Leg, Shape
+from antdsl.bodies.files.json_text import Node, find_span, find_text, report_unknown
+from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.scene.document import Key
 from antdsl.source import Span
+
+DEFORMERS = ("linearskinning", "dualquatskinning", "dualquatblendskinning")
+DOCUMENTED_DEFORMERS = ("blendshape", *DEFORMERS, *(f"blendshape+{name}" for name in DEFORMERS))
+
+
+@dataclass(slots=True)
+class Parts:
+    """A definition that was read, and the place that names it. `nodes`: its parts in a document, by key and name (of a list by
+    key and ""); none of what is read from glTF, USD or a cache. `measured`: whether its length must still be measured."""
+
+    definition: Definition
+    span: Span | None = None
+    nodes: dict[tuple[str, str], Node] = field(default_factory=dict)
+    measured: bool = True
+
+    def place(self, key: str, name: str = "", path: Sequence[Key] = ()) -> Span | None:
+        """Return the place of a part, or of what a path inside it leads to."""
+        node = self.nodes.get((key, name))
+        return None if node is None else find_span(node, path)
+
+    def place_of(self, key: str, name: str, text: str) -> Span | None:
+        """Return the place of a text in a part."""
+        node = self.nodes.get((key, name))
+        return None if node is None else find_text(node, text)
 
 
 def check_definition(parts: Parts, report: Report) -> Definition | None:
@@ -25,22 +50,26 @@ def check_definition(parts: Parts, report: Report) -> Definition | None:
     _check_sizes(definition, parts.span, report)
     for name, layer in definition.layers.items():
         for binding in (*layer.static, *layer.deforming):
-            _check_binding(definition, binding, parts.layers.get(name), report, sound)
+            _check_binding(parts, name, binding, report, sound)
+    channels = [each.name for each in definition.rig.channels]
     for name, group in definition.groups.items():
-        place = parts.groups.get(name)
         for joint, _ in group.members:
             if joint not in definition.rig.names:
-                _report_unknown(report, place, "joint", joint, definition.rig.names)
-        channels = [each.name for each in definition.rig.channels]
+                report_unknown(report, parts.place_of("groups", name, joint), "joint", joint, definition.rig.names)
         for channel in group.channels:
             if channel not in channels:
-                _report_unknown(report, place, "channel", channel, channels, warn=True)
+                report_unknown(report, parts.place_of("groups", name, channel), "channel", channel, channels, warn=True)
     for shape in definition.shapes.values():
         _check_shape(definition, shape, parts.span, report)
-    for what, name, span, known in find_misnamed(definition.variation, definition.groups, definition.materials, parts.varied):
-        near = nearest_name(name, known)
-        report.error("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
-    check_legs(definition, parts.walking, report)
+    for key, what, varied, known in (
+        ("scale", "transform group", definition.variation.scales, definition.groups),
+        ("materials", "material", definition.variation.materials, definition.materials),
+    ):
+        for name in varied:
+            if name not in known:
+                node = parts.nodes.get((key, name))
+                report_unknown(report, node.span if node is not None else None, what, name, known)
+    _check_legs(parts, report)
     if not report.ok:
         return None
     return _measure_length(definition, parts, report)
@@ -59,26 +88,22 @@ def _check_sizes(definition: Definition, place: Span | None, report: Report) -> 
             report.error("too-large", f"there are more than {limits.BODY_PARTS:,} {what}", place, None)
 
 
-def _report_unknown(report: Report, place: Place | None, what: str, name: str, known: object, *, warn: bool = False) -> None:
-    near = nearest_name(name, known)  # type: ignore[arg-type]
-    say = report.warning if warn else report.error
-    span = place.of(name) if place else None
-    say("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
-
-
-def _check_binding(definition: Definition, binding: Binding, place: Place | None, report: Report, sound: bool) -> None:
+def _check_binding(parts: Parts, layer: str, binding: Binding, report: Report, sound: bool) -> None:
+    definition = parts.definition
     if binding.transform and binding.transform not in definition.rig.names:
-        _report_unknown(report, place, "joint", binding.transform, definition.rig.names)
+        place = parts.place_of("layers", layer, binding.transform)
+        report_unknown(report, place, "joint", binding.transform, definition.rig.names)
     shape = definition.shapes.get(binding.shape)
     if shape is None and sound:
-        _report_unknown(report, place, "shape", binding.shape, definition.shapes)
-    if binding.deformer and binding.deformer not in DOCUMENTED_DEFORMERS:
+        report_unknown(report, parts.place_of("layers", layer, binding.shape), "shape", binding.shape, definition.shapes)
+    if not binding.deformer:
+        return
+    span = parts.place_of("layers", layer, binding.deformer)
+    if binding.deformer not in DOCUMENTED_DEFORMERS:
         near = nearest_name(binding.deformer, DOCUMENTED_DEFORMERS)
         words = f"no deformer `{binding.deformer[:60]}` comes with antdsl"
-        span = place.of(binding.deformer) if place else None
         report.warning("unknown-name", words, span, f'write `"{near}"`' if near else "a deformer of your own must be registered")
-    elif shape is not None and binding.deformer:
-        span = place.of(binding.deformer) if place else None
+    elif shape is not None:
         if binding.deformer.rpartition("+")[2] in DEFORMERS and shape.capture is None:
             words = f"no point of `{shape.name}` follows a joint, and `{binding.deformer}` needs that"
             report.error("bad-body", words, span, "take the shape from a glTF or USD file with a skin, or bind it under `static`")
@@ -109,6 +134,46 @@ def _check_shape(definition: Definition, shape: Shape, place: Span | None, repor
             near = nearest_name(name, channels)
             words = f"`{shape.name}` blends by the channel `{name[:60]}`, which the rig does not have"
             report.error("unknown-name", words, place, f"did you mean `{near}`?" if near else "add it to the rig's `channels`")
+
+
+def _check_legs(parts: Parts, report: Report) -> None:
+    """Report legs with joints that are missing or not below each other, gaits that do not fit the legs, and a missing idle
+    clip."""
+    definition = parts.definition
+    for leg in definition.legs:
+        _check_leg(parts, leg, report)
+    for gait in definition.gaits:
+        if len(gait.phases) != len(definition.legs):
+            count = len(definition.legs)
+            words = f"`{gait.name}` has {len(gait.phases)} phases, but the body has {count} leg{'' if count == 1 else 's'}"
+            help = "give a phase for each leg, in the order of `legs`" if count else 'add `"legs": […]`'
+            report.error("wrong-value", words, parts.place("gaits", gait.name, ("phases",)), help)
+    for slow, fast in pairwise(definition.gaits):
+        if not slow.speed < fast.speed:
+            words = f"the gaits `{slow.name}` and `{fast.name}` have the same speed"
+            labels = [Label(place, "here first") for place in (parts.place("gaits", slow.name, ("speed",)),) if place is not None]
+            place = parts.place("gaits", fast.name, ("speed",))
+            report.error("wrong-value", words, place, "give them different speeds, or delete one", labels=tuple(labels))
+    if definition.legs and not definition.gaits:
+        line = 'add `"gaits": [{"name": "walk", "speed": …, "stride": …, "duty": 0.6, "lift": …, "phases": […]}]`'
+        report.warning("missing-key", "the body has legs but no gait, so only clips move the legs", parts.place("legs"), line)
+    if definition.idle and definition.idle not in definition.clips:
+        report_unknown(report, parts.place("idle"), "clip", definition.idle, definition.clips)
+
+
+def _check_leg(parts: Parts, leg: Leg, report: Report) -> None:
+    definition, known = parts.definition, True
+    names = definition.rig.names
+    for key, joint in (("upper", leg.upper), ("lower", leg.lower), ("foot", leg.foot)):
+        if joint not in names:
+            report_unknown(report, parts.place("legs", leg.name, (key,)), "joint", joint, names)
+            known = False
+    if not known:
+        return
+    for key, above, below in (("lower", leg.upper, leg.lower), ("foot", leg.lower, leg.foot)):
+        if definition.rig.joint(below) not in definition.rig.descendants(definition.rig.joint(above))[1:]:
+            words, place = f"`{below[:60]}` is not below `{above[:60]}` in the rig", parts.place("legs", leg.name, (key,))
+            report.error("bad-rig", words, place, "name joints from the hip down: upper, lower, foot")
 
 
 def _measure_length(definition: Definition, parts: Parts, report: Report) -> Definition | None:

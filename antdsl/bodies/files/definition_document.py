@@ -3,128 +3,112 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, TypeVar
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
-import numpy as np
-
-from antdsl import limits
-from antdsl.bodies.agents.definition import Clip, Definition, Rig
-from antdsl.bodies.files import definition_parts
-from antdsl.bodies.files.checked_values import Values
-from antdsl.bodies.files.clip_document import read_clip, read_marks
-from antdsl.bodies.files.definition_parts import Places, VariationPlaces, read_gaits, read_legs, read_metadata
-from antdsl.bodies.files.documents import read_group, read_layer, read_rig
-from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.agents.definition import Clip, Definition, Gait, Leg, Rig, Variation
+from antdsl.bodies.files.clip_document import build_clip, check_marks
+from antdsl.bodies.files.definition_checks import Parts
+from antdsl.bodies.files.document_errors import read_form
+from antdsl.bodies.files.document_model import BaseForm, BodyForm, ClipForm, ClipReference
+from antdsl.bodies.files.documents import build_group, build_layer, build_rig, read_metadata
+from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown
 from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, file_ending
 from antdsl.bodies.files.shape_references import read_includes, read_shapes
-from antdsl.scene.model import UNIT_MM
+from antdsl.diagnostics import Label, Report
 from antdsl.source import Span
 
-KNOWN = (
-    "antdsl_body", "name", "from", "front", "up", "units", "length", "rig", "shapes", "shapelib_includes", "layers", "clips",
-    "groups", "metadata", "materials", "legs", "gaits", "idle", "variation",
-)  # fmt: skip
-_UNIT = re.compile(rf"(?:(\d{{1,6}}(?:\.\d{{1,9}})?) )?({'|'.join(UNIT_MM)})")
-_AXES = {sign + letter: np.eye(3)[axis] * (1 if sign == "+" else -1) for axis, letter in enumerate("xyz") for sign in "+-"}
-_OF_CLIP = ("file", "clip", "name", "loop", "stride", "marks", "feet", "rate", "prim")
-T = TypeVar("T")
-Axis = tuple[float, float, float]
+# The keys of parts that may be in separate files, and what a part is.
+_SEPARATE = {"rig": "a rig", "metadata": "metadata", "layers": "a layer", "groups": "a transform group"}
 
 
-@dataclass(slots=True)
-class Place:
-    """The text of one part: the values that read it and the node it was read from."""
-
-    values: Values
-    node: Node
-
-    def of(self, *texts: str) -> Span:
-        """Return the span of the first of some texts that is in the part; the part's own place if none is."""
-        waiting = [self.node]
-        while waiting:
-            node = waiting.pop(0)
-            if isinstance(node.value, str) and node.value in texts:
-                return self.values.span(node)
-            if isinstance(node.value, dict):
-                waiting += node.value.values()
-            elif isinstance(node.value, list) and not node.numbers:
-                waiting += [each for each in node.value if isinstance(each, Node)]
-        return self.values.start_span(self.node)
-
-
-@dataclass(slots=True)
-class Parts:
-    """A definition that was read, and the places of its parts; `measured`: whether its length must still be measured."""
-
-    definition: Definition
-    layers: dict[str, Place] = field(default_factory=dict)
-    groups: dict[str, Place] = field(default_factory=dict)
-    walking: Places = field(default_factory=Places)
-    varied: VariationPlaces = field(default_factory=dict)
-    span: Span | None = None
-    measured: bool = True
-
-
-def read_document(values: Values, node: Node, files: BodyFiles, name: str) -> Parts | None:
+def read_document(root: Node, files: BodyFiles, name: str) -> Parts | None:
     """Read the definition in a file, without the checks that need the complete definition."""
-    if _report_part_file(values, node):
+    report = files.report
+    if _report_part_file(root, report):
         return None
-    entries = values.object(node, "a definition", KNOWN, {"antdsl_body": "1"})
-    if entries is None or not values.version(entries, "antdsl_body", 1):
+    tree = _insert_files(root, files)
+    form = read_form(BodyForm, tree, report)
+    if form is None or not report.ok:
         return None
-    base = _read_base(values, entries, files, name)
-    rig = _read_one(values, entries.get("rig"), "a rig", read_rig, files)[0] if "rig" in entries else base.rig if base else None
+    base = None if form.base is None else _read_base(form.base, find_node(root, ("from",)), files, name)
+    rig = base.rig if base is not None else None
+    if form.rig is not None:
+        rig = build_rig(form.rig, find_node(tree, ("rig",)), report)
     if rig is None:
-        if "rig" not in entries and "from" not in entries:
+        if form.base is None and form.rig is None:
             words = "a definition needs joints: a `rig`, or a file for the whole body under `from`"
-            values.report.error("missing-key", words, values.start_span(node), 'add `"rig": {"file": "rig.json"}`')
+            report.error("missing-key", words, root.mark, 'add `"rig": {"file": "rig.json"}`')
         return None
-    base = base or Definition(name, rig)
-    base = replace(base, rig=rig, name=values.text(entries.get("name"), "the name of the body") or base.name)
-    unit = _read_unit(values, entries.get("units"), base.unit)
-    base = replace(base, unit=unit)
-    front, up = _read_axes(values, entries, base)
-    base = replace(base, front=front, up=up)
-    shapes, materials = dict(base.shapes), dict(base.materials)
-    if "materials" in entries:
-        materials |= _read_materials(values, entries["materials"])
-    if "shapelib_includes" in entries:
-        read_includes(values, entries["shapelib_includes"], files, shapes, materials)
-    if "shapes" in entries:
-        read_shapes(values, entries["shapes"], files, unit, shapes, materials)
-    parts = Parts(base, span=values.start_span(node))
-    layers = _read_all(values, entries.get("layers"), "a layer", read_layer, files, lambda each: each.name, parts.layers)
-    groups = _read_all(
-        values, entries.get("groups"), "a transform group", read_group, files, lambda each: each.name, parts.groups
-    )
-    clips = _read_clips(values, entries.get("clips"), files, rig, dict(base.clips))
-    metadata = dict(base.metadata)
-    if "metadata" in entries:
-        metadata |= _read_one(values, entries["metadata"], "metadata", read_metadata, files)[0] or {}
-    length = values.number(entries.get("length"), "a length", 1e-9)
-    parts.measured = length is None
-    if "variation" in entries:
-        base = replace(base, variation=definition_parts.read_variation(values, entries["variation"], parts.varied))
-    parts.definition = replace(
+    base = replace(base or Definition(name, rig), rig=rig)
+    base = replace(base, name=form.name or base.name, unit=form.units or base.unit, **_read_axes(form, root, base, report))
+    shapes, materials = dict(base.shapes), {**base.materials, **form.materials}
+    read_includes(form, root, files, shapes, materials)
+    read_shapes(form, root, files, base.unit, shapes, materials)
+    parts = Parts(base, root.mark, measured=form.length is None)
+    layers = {each.name: build_layer(each) for each in form.layers}
+    groups = {each.name: build_group(each) for each in form.groups}
+    for key, named in (("layers", form.layers), ("groups", form.groups), ("legs", form.legs), ("gaits", form.gaits)):
+        _note_places(parts, key, [each.name for each in named], root, tree, report)
+    for kind in ("scale", "materials"):
+        varied = find_node(tree, ("variation", kind))
+        parts.nodes |= {(kind, each): find_node(varied, (each,)) for each in getattr(form.variation, kind)}
+    parts.nodes["idle", ""] = find_node(root, ("idle",))
+    definition = replace(
         base, shapes=shapes, materials=materials, layers={**base.layers, **layers}, groups={**base.groups, **groups},
-        clips=clips, metadata=metadata, length=length or base.length, **_read_walking(values, entries, parts.walking),
+        clips=_read_clips(form, root, files, rig, dict(base.clips)), length=form.length or base.length,
     )  # fmt: skip
+    if "metadata" in form.model_fields_set:
+        definition = replace(definition, metadata={**base.metadata, **read_metadata(find_node(tree, ("metadata",)), report)})
+    if "variation" in form.model_fields_set:
+        scales = {group: (min(ends), max(ends)) for group, ends in form.variation.scale.items()}
+        definition = replace(definition, variation=Variation(scales, form.variation.materials))
+    if "legs" in form.model_fields_set:
+        definition = replace(definition, legs=tuple(Leg(**dict(leg)) for leg in form.legs))
+    if "gaits" in form.model_fields_set:
+        gaits = sorted((Gait(**dict(gait)) for gait in form.gaits), key=lambda gait: gait.speed)
+        definition = replace(definition, gaits=tuple(gaits))
+    parts.definition = replace(definition, idle=form.idle or definition.idle)
     return parts
 
 
-def _read_walking(values: Values, entries: Mapping[str, Node], locations: Places) -> dict[str, Any]:
-    """The legs, gaits and idle clip that a file names."""
-    settings: dict[str, Any] = {}
-    for key, read in (("legs", read_legs), ("gaits", read_gaits)):
-        if key in entries:
-            settings[key] = read(values, entries[key], locations)
-    if "idle" in entries:
-        settings["idle"] = values.text(entries["idle"], "the name of a clip") or ""
-        locations.spans["idle",] = values.span(entries["idle"])
-    return settings
+def _insert_files(root: Node, files: BodyFiles) -> Node:
+    """Return the tree of a definition with the parts that are in separate files in their places, and without those that cannot
+    be read."""
+
+    def part(node: Node, what: str) -> Node | None:
+        file = node.inner("file")
+        if file is None or len(node.keys) != 1 or not isinstance(file.value, str):
+            return node
+        return files.read_part(file.value, what, file.span)
+
+    if not isinstance(root.value, dict):
+        return root
+    entries: dict[str, Node | None] = dict(root.value)
+    for key, what in _SEPARATE.items():
+        node = root.value.get(key)
+        if node is None:
+            continue
+        if isinstance(node.value, list) and not node.numbers and key in ("layers", "groups"):
+            items = [part(each, what) for each in node.value if isinstance(each, Node)]
+            entries[key] = replace(node, value=[each for each in items if each is not None])
+        else:
+            entries[key] = part(node, what)
+    return replace(root, value={key: node for key, node in entries.items() if node is not None})
+
+
+def _note_places(parts: Parts, key: str, names: list[str], root: Node, tree: Node, report: Report) -> None:
+    """Store the nodes of named parts, and report a name that is given twice."""
+    parts.nodes[key, ""] = find_node(root, (key,))
+    first: dict[str, int] = {}
+    for number, name in enumerate(names):
+        if name in first:
+            labels = (Label(find_span(root, (key, first[name])), "here first"),)
+            words = f"there are two {key} `{name}`"
+            report.error("duplicate-name", words, find_span(root, (key, number)), "keep one of them", labels=labels)
+        first.setdefault(name, number)
+        parts.nodes[key, name] = find_node(tree, (key, number))
 
 
 # Keys that identify a part in a separate file, with the kind of part and how a definition names it.
@@ -138,187 +122,103 @@ _SIGNS = (
 )
 
 
-def _report_part_file(values: Values, node: Node) -> bool:
+def _report_part_file(root: Node, report: Report) -> bool:
     """Return whether a file is only a part of a definition, and report it if so."""
-    if not isinstance(node.value, dict) or "antdsl_body" in node.value:
+    if not isinstance(root.value, dict) or "antdsl_body" in root.value:
         return False
     for key, what, line in _SIGNS:
-        if key in node.value:
+        if key in root.value:
             words = f"this is {what}, not a definition; a definition names it as one of its parts"
-            values.report.error("wrong-kind", words, values.key_span(node, key), f'write a file `{{"antdsl_body": 1, {line}}}`')
+            report.error("wrong-kind", words, find_span(root, (key,), key=True), f'write a file `{{"antdsl_body": 1, {line}}}`')
             return True
     return False
 
 
-def _read_base(values: Values, entries: Mapping[str, Node], files: BodyFiles, name: str) -> Definition | None:
+def _read_base(base: BaseForm, node: Node, files: BodyFiles, name: str) -> Definition | None:
     """Return the definition of the glTF or USD file that everything else is added to."""
-    node = entries.get("from")
-    if node is None:
+    place = find_span(node, ("file",))
+    if files.is_closed_format(base.file, place):
         return None
-    inner: Mapping[str, Node] | None = {"file": node}
-    if isinstance(node.value, dict):
-        inner = values.object(node, "a file to begin from", ("file", "prim", "rate"), {"file": '"body.glb"'})
-    path = values.text((inner or {}).get("file"), "the path of a glTF or USD file")
-    if inner is None or path is None:
-        return None
-    place = values.span(inner["file"])
-    if files.is_closed_format(path, place):
-        return None
-    if file_ending(path) not in (*GLTF, *USD):
+    if file_ending(base.file) not in (*GLTF, *USD):
         kinds = ", ".join(f".{kind}" for kind in (*GLTF, *USD))
-        files.report.error("wrong-kind", f"`{path[-80:]}` has no joints", place, f"one of {kinds} is read here")
+        files.report.error("wrong-kind", f"`{base.file[-80:]}` has no joints", place, f"one of {kinds} is read here")
         return None
-    prim = values.text(inner.get("prim"), "the path of a prim") or ""
-    rate = values.number(inner.get("rate"), "samples a second", 1.0, 1000.0) or 0.0
-    definition = files.body(path, place, prim, rate)
+    definition = files.body(base.file, place, base.prim or "", base.rate or 0.0)
     return None if definition is None else replace(definition, name=name)
 
 
-def _part_path(values: Values, node: Node) -> tuple[str, Span] | None:
-    """Return the path of a part in a separate file (an object with `file` and nothing else), with its span; None for other
-    values."""
-    if not isinstance(node.value, dict) or set(node.value) != {"file"}:
-        return None
-    path = values.text(node.value["file"], "the path of a file")
-    return None if path is None else (path, values.span(node.value["file"]))
-
-
-def _read_one(
-    values: Values, node: Node | None, what: str, read: Callable[[Values, Node], T], files: BodyFiles
-) -> tuple[T | None, Place | None]:
-    """Read a part, inside the file or from a separate one. Return it with its place."""
-    if node is None:
-        return None, None
-    named = _part_path(values, node)
-    if named is None:
-        return read(values, node), Place(values, node)
-    top_nodes: list[Node] = []
-
-    def noted(inside: Values, top: Node) -> T:
-        top_nodes.append(top)
-        return read(inside, top)
-
-    part, inside = files.read_part_file(named[0], what, noted, named[1])
-    return part, Place(inside, top_nodes[0]) if inside is not None and top_nodes else None
-
-
-def _read_all(
-    values: Values, node: Node | None, what: str, read: Callable[[Values, Node], T | None], files: BodyFiles,
-    name: Callable[[T], str], locations: dict[str, Place],
-) -> dict[str, T]:  # fmt: skip
-    """Return the parts of a list by name. Each may be in a separate file."""
-    parts: dict[str, T] = {}
-    for each in _limited_items(values, node, f"{what.partition(' ')[2]}s"):
-        part, place = _read_one(values, each, what, read, files)
-        if part is None or place is None:
-            continue
-        own = name(part)
-        if own in parts:
-            values.report_repeated(
-                each, f"there are two {what.partition(' ')[2]}s `{own}`", locations[own].values.start_span(locations[own].node)
-            )
-            continue
-        parts[own], locations[own] = part, place
-    return parts
-
-
-def _limited_items(values: Values, node: Node | None, what: str) -> list[Node]:
-    items = [] if node is None else values.items(node, what)
-    if node is not None and len(items) > limits.BODY_PARTS:
-        values.report.error("too-large", f"there are more than {limits.BODY_PARTS:,} {what}", values.start_span(node), None)
-        return []
-    return items
+def _read_axes(form: BodyForm, root: Node, base: Definition, report: Report) -> dict[str, Any]:
+    """Return the forward and upward axes of a body."""
+    front, up = form.front or base.front, form.up or base.up
+    if any(a and b for a, b in zip(front, up, strict=True)):
+        node = root.inner("up") or root.inner("front")
+        words = "the front and the up axis of the body are parallel"
+        report.error("wrong-value", words, node.span if node is not None else None, 'write `"up": "+y"`')
+    return {"front": front, "up": up}
 
 
 # ---- clips
 
 
-def _read_clips(values: Values, node: Node | None, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
+def _read_clips(form: BodyForm, root: Node, files: BodyFiles, rig: Rig, clips: dict[str, Clip]) -> dict[str, Clip]:
     """Return the clips of a list: inline, from clip files, from glTF or USD files, or those of `from` with other settings."""
     first: dict[str, Span] = {}
-    for each in _limited_items(values, node, "clips"):
-        if isinstance(each.value, dict) and "antdsl_clip" not in each.value:
-            entries = values.object(each, "a clip", _OF_CLIP)
-            new = _read_referenced_clips(values, each, entries, files, rig, clips) if entries is not None else []
+    for number, entry in enumerate(form.clips):
+        node = find_node(root, ("clips", number))
+        if isinstance(entry, ClipReference):
+            new, has_samples = _referenced_clips(entry, node, files, rig, clips), entry.file is not None
         else:
-            clip = read_clip(values, each, rig)
-            new = [clip] if clip is not None else []
+            clip = build_clip(entry, node, files.report, rig)
+            new, has_samples = [clip] if clip is not None else [], True
         for clip in new:
-            if clip.name in first or (clip.name in clips and _has_own_samples(each)):
-                labelled = first.get(clip.name, values.start_span(node)) if node is not None else values.start_span(each)
-                values.report_repeated(each, f"there are two clips `{clip.name}`", labelled)
+            if clip.name in first or (clip.name in clips and has_samples):
+                labels = (Label(first.get(clip.name, find_span(root, ("clips",))), "here first"),)
+                words = f"there are two clips `{clip.name}`"
+                files.report.error("duplicate-name", words, node.span, "keep one of them", labels=labels)
                 continue
-            clips[clip.name], first[clip.name] = clip, values.start_span(each)
+            clips[clip.name], first[clip.name] = clip, node.mark
     return clips
 
 
-def _has_own_samples(node: Node) -> bool:
-    return isinstance(node.value, dict) and ("file" in node.value or "antdsl_clip" in node.value)
-
-
-def _read_referenced_clips(
-    values: Values, node: Node, entries: Mapping[str, Node], files: BodyFiles, rig: Rig, own: dict[str, Clip]
-) -> list[Clip]:
-    clip_name = values.text(entries.get("clip"), "the name of a clip")
-    place = values.start_span(node)
-    if "file" in entries:
-        path = values.text(entries["file"], "the path of a file")
-        if path is None:
-            return []
-        place = values.span(entries["file"])
-        clips = _read_clip_file(values, entries, path, place, files, rig)
-    elif clip_name is None:
-        values.report.error("missing-key", "a clip has no `file`", place, 'add `"file": "walk.json"`, or `"clip": "Walk"`')
+def _referenced_clips(entry: ClipReference, node: Node, files: BodyFiles, rig: Rig, own: dict[str, Clip]) -> list[Clip]:
+    report = files.report
+    clips: Mapping[str, Clip] = own
+    if entry.file is not None:
+        clips = _read_clip_file(entry, entry.file, find_span(node, ("file",)), files, rig)
+    elif entry.clip is None:
+        report.error("missing-key", "a clip has no `file`", node.mark, 'add `"file": "walk.json"`, or `"clip": "Walk"`')
         return []
-    else:
-        clips = own
-    if clip_name is not None:
-        if clip_name not in clips:
-            values.report_unknown(values.span(entries["clip"]), "clip", clip_name, clips)
+    if entry.clip is not None:
+        if entry.clip not in clips:
+            report_unknown(report, find_span(node, ("clip",)), "clip", entry.clip, clips)
             return []
-        clips = {clip_name: clips[clip_name]}
-    if "file" not in entries and clip_name is not None:
-        own.pop(clip_name)
-    name = values.text(entries.get("name"), "the name of a clip")
-    if name is not None and len(clips) > 1:
-        words = f"`name` is given, but the file has {len(clips)} clips"
-        values.report.error("wrong-value", words, values.span(entries["name"]), f'add `"clip": "{next(iter(clips))}"`')
+        clips = {entry.clip: clips[entry.clip]}
+        if entry.file is None:
+            own.pop(entry.clip)
+    if entry.name is not None and len(clips) > 1:
+        words, help = f"`name` is given, but the file has {len(clips)} clips", f'add `"clip": "{next(iter(clips))}"`'
+        report.error("wrong-value", words, find_span(node, ("name",)), help)
         return []
-    new_clips = []
+    settings = {key: getattr(entry, key) for key in ("name", "loop", "stride", "marks", "feet") if key in entry.model_fields_set}
     for clip in clips.values():
-        stride = values.number(entries.get("stride"), "a stride", 0.0)
-        new_clips.append(
-            replace(
-                clip,
-                name=name or clip.name,
-                loop=values.boolean(entries.get("loop"), "whether the clip loops", clip.loop),
-                stride=clip.stride if stride is None else stride,
-                marks=read_marks(values, entries["marks"], clip.duration) if "marks" in entries else clip.marks,
-                feet=values.boolean(entries.get("feet"), "whether feet stand while it plays", clip.feet),
-            )
-        )
-    return new_clips
+        check_marks(entry.marks, clip.duration, node, report)
+    return [replace(clip, **settings) for clip in clips.values()]
 
 
-def _read_clip_file(
-    values: Values, entries: Mapping[str, Node], path: str, place: Span, files: BodyFiles, rig: Rig
-) -> dict[str, Clip]:
+def _read_clip_file(entry: ClipReference, path: str, place: Span, files: BodyFiles, rig: Rig) -> dict[str, Clip]:
     """Return the clips of a file: one from a text, all of a glTF or USD file, without joints that the rig lacks."""
-    if file_ending(path) not in (*GLTF, *USD):
-        if file_ending(path) != "json" and not files.is_closed_format(path, place):
+    if file_ending(path) in (*GLTF, *USD):
+        body = files.body(path, place, entry.prim or "", entry.rate or 0.0, rig)
+        return {name: _fit_to_rig(files, clip, rig, place) for name, clip in (body.clips if body else {}).items()}
+    if file_ending(path) != "json":
+        if not files.is_closed_format(path, place):
             kinds = ", ".join(f".{kind}" for kind in ("json", *GLTF, *USD))
             files.report.error("wrong-kind", f"`{path[-80:]}` is not a file of clips", place, f"one of {kinds} is read")
-        if file_ending(path) != "json":
-            return {}
-        clip, _ = files.read_part_file(path, "a clip", lambda inside, node: read_clip(inside, node, rig), place)
-        return {} if clip is None else {clip.name: clip}
-    prim = values.text(entries.get("prim"), "the path of a prim") or ""
-    rate = values.number(entries.get("rate"), "samples a second", 1.0, 1000.0) or 0.0
-    body = files.body(path, place, prim, rate, rig)
-    clips = {}
-    for name, clip in (body.clips if body else {}).items():
-        clips[name] = _fit_to_rig(files, clip, rig, place)
-    return clips
+        return {}
+    root = files.read_part(path, "a clip", place)
+    form = None if root is None else read_form(ClipForm, root, files.report)
+    clip = None if root is None or form is None else build_clip(form, root, files.report, rig)
+    return {} if clip is None else {clip.name: clip}
 
 
 def _fit_to_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
@@ -338,57 +238,3 @@ def _fit_to_rig(files: BodyFiles, clip: Clip, rig: Rig, place: Span) -> Clip:
         shear=None if clip.shear is None else clip.shear[:, joints],
         channels=tuple(clip.channels[k] for k in numbers), values=clip.values[:, numbers],
     )  # fmt: skip
-
-
-# ---- axes, units, colours
-
-
-def unit_mm(text: object) -> float:
-    """Return the millimetres of a length unit such as `mm` or `6 mm`; 0 if the text is not one."""
-    match = _UNIT.fullmatch(text) if isinstance(text, str) else None
-    return float(match[1] or 1) * UNIT_MM[match[2]] if match else 0.0
-
-
-def _read_unit(values: Values, node: Node | None, otherwise: float) -> float:
-    if node is None:
-        return otherwise
-    unit = unit_mm(node.value)
-    if not unit:
-        known = ", ".join(f"`{unit}`" for unit in UNIT_MM)
-        words = f"the unit of length must be one of {known}, or a multiple of one"
-        values.report.error("wrong-value", words, values.span(node), 'write `"mm"`, or `"6 mm"`')
-        return otherwise
-    return unit
-
-
-def _read_axes(values: Values, entries: Mapping[str, Node], base: Definition) -> tuple[Axis, Axis]:
-    """Return the forward and upward axes of a body."""
-    axes = {"front": base.front, "up": base.up}
-    for key in axes:
-        node = entries.get(key)
-        if node is None:
-            continue
-        if not isinstance(node.value, str) or node.value not in _AXES:
-            letter = node.value if isinstance(node.value, str) and f"+{node.value}" in _AXES else "z" if key == "front" else "y"
-            words = f"`{key}` must be one of the axes `+x` `-x` `+y` `-y` `+z` `-z`"
-            values.report.error("wrong-value", words, values.span(node), f'write `"+{letter}"`')
-            continue
-        x, y, z = _AXES[node.value].tolist()
-        axes[key] = (x, y, z)
-    if any(a and b for a, b in zip(axes["front"], axes["up"], strict=True)):
-        node = entries.get("up", entries.get("front"))
-        place = values.span(node) if node is not None else None
-        values.report.error("wrong-value", "the front and the up axis of the body are parallel", place, 'write `"up": "+y"`')
-    return axes["front"], axes["up"]
-
-
-def _read_materials(values: Values, node: Node) -> dict[str, tuple[float, float, float]]:
-    if not isinstance(node.value, dict):
-        values.report_wrong(node, "an object of base colours", 'write `{"NAME": [0.5, 0.4, 0.3]}`')
-        return {}
-    colours = {}
-    for name, each in node.value.items():
-        colour = values.numbers(each, "a colour", 3, 0.0, 1.0)
-        if colour is not None:
-            colours[name] = (float(colour[0]), float(colour[1]), float(colour[2]))
-    return colours

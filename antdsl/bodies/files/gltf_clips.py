@@ -4,7 +4,8 @@ Specification, 2021, section 3.11 and appendix C."""
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,11 @@ from numpy.typing import NDArray
 from antdsl import limits
 from antdsl.bodies.agents.definition import BodyError, Clip, Rig
 from antdsl.bodies.agents.transforms import align_signs, parts_of, slerp, unit_quaternion
+from antdsl.bodies.files.gltf_shapes import unused_name
 from antdsl.scene.geometry.gltf_file import Gltf
+
+if TYPE_CHECKING:
+    from antdsl.bodies.files.document_model import AnimationSettings
 
 Floats = NDArray[np.float64]
 _EXPORT = "export it again, as glTF 2.0"
@@ -31,10 +36,7 @@ def read_clips(file: Gltf, joint: Mapping[int, str], weights: Mapping[int, tuple
     clips: dict[str, Clip] = {}
     left = limits.CLIP_BYTES
     for number, animation in enumerate(animations):
-        name, count = file.name(animation, f"clip{number}"), 2
-        own = name
-        while name in clips:
-            name, count = f"{own}_{count}", count + 1
+        name = unused_name(file.name(animation, f"clip{number}"), clips)
         clip, size = _read_clip(file, animation, name, joint, weights, rig, rate, left)
         left -= size
         if clip is not None:
@@ -78,10 +80,13 @@ def _read_clip(
         return None, 0
     if seconds * rate > limits.CLIP_SAMPLES:
         raise BodyError(f"has a clip `{name}` of {seconds:,.0f} seconds, longer than is read", code="too-large")
-    settings = _read_settings(animation, name)
-    times, rate = even_times(seconds, float(settings.get("rate", rate)))
-    if "rate" in settings and abs(rate - settings["rate"]) <= _SAME * rate:  # float32 keys do not hold it to the last bit
-        rate = float(settings["rate"])
+    extras = animation.get("extras")
+    own = extras.get(EXTRAS) if isinstance(extras, dict) else None
+    settings = None if own is None else read_settings(own, "extras", name)
+    exact_rate = settings.rate if settings is not None and settings.rate is not None else 0.0
+    times, rate = even_times(seconds, exact_rate or rate)
+    if exact_rate and abs(rate - exact_rate) <= _SAME * rate:  # float32 keys do not hold it to the last bit
+        rate = exact_rate
         times = np.arange(len(times)) / rate
     size = len(times) * (len(moved) * 13 + len(shares)) * 8
     if size > left:
@@ -100,10 +105,9 @@ def _read_clip(
         name, rate, joints,
         translation.astype(np.float32), align_signs(unit_quaternion(rotation)).astype(np.float32), scale.astype(np.float32),
         shear.astype(np.float32) if (np.abs(shear) > 1e-6).any() else None,
-        tuple(shares), np.ascontiguousarray(values, np.float32), settings.get("loop", True), float(settings.get("stride", 0.0)),
-        {mark: float(mark_time) for mark, mark_time in settings.get("marks", {}).items()}, settings.get("feet", True),
+        tuple(shares), np.ascontiguousarray(values, np.float32),
     )  # fmt: skip
-    return clip, size
+    return (clip if settings is None else with_settings(clip, settings)), size
 
 
 def write_settings(clip: Clip) -> dict[str, Any]:
@@ -116,25 +120,25 @@ def write_settings(clip: Clip) -> dict[str, Any]:
     return {EXTRAS: settings}
 
 
-def _read_settings(animation: dict[str, Any], name: str) -> dict[str, Any]:
-    """Return what `write_settings` wrote, if it is there. Raises BodyError for any other values."""
-    extras = animation.get("extras")
-    settings = extras.get(EXTRAS) if isinstance(extras, dict) else None
-    if settings is None:
-        return {}
-    numbers = {"rate": (0.001, 100_000.0), "stride": (0.0, limits.LARGEST)}
-    if isinstance(settings, dict):
-        marks = settings.get("marks", {})
-        good = isinstance(marks, dict) and all(_is_number(each, 0.0, limits.LARGEST) for each in marks.values())
-        good = good and all(_is_number(settings[key], *ends) for key, ends in numbers.items() if key in settings)
-        if good and all(isinstance(settings.get(key, True), bool) for key in ("loop", "feet")):
-            return settings
-    hint = "the extras must be an object of rate, stride, loop, feet and marks: delete or correct it"
-    raise BodyError(f"has unknown extras `{EXTRAS}` in the clip `{name}`", hint)
+def with_settings(clip: Clip, settings: AnimationSettings) -> Clip:
+    """Return a clip with the settings of its animation."""
+    return replace(clip, loop=settings.loop, stride=settings.stride, marks=settings.marks, feet=settings.feet)
 
 
-def _is_number(value: object, low: float, high: float) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
+def read_settings(settings: Any, holder: str, name: str) -> AnimationSettings:
+    """Return the settings of a clip called `name`. `holder`: what they are in, `extras` of glTF or `customData` of USD. Raises
+    BodyError for wrong values."""
+    from pydantic import ValidationError  # late, as what follows: most files have no such settings
+
+    from antdsl.bodies.files.document_model import AnimationSettings
+
+    try:
+        return AnimationSettings.model_validate(settings)
+    except ValidationError as problem:
+        error = problem.errors(include_url=False, include_input=False)[0]
+        path = "".join(f" at `{str(key)[:60]}`" for key in error["loc"])
+        hint = f"the {holder} must be an object of rate, stride, loop, feet and marks: delete or correct it"
+        raise BodyError(f"has unknown {holder} `{EXTRAS}` in the clip `{name}`{path}", hint) from None
 
 
 class _Keys:

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import STATE, Blend, BodyError, Capture, Channel, Shape
+from antdsl.bodies.body import unit_normals
 from antdsl.scene.geometry.gltf_file import FAN, STRIP, TRIANGLES, Gltf, primitive_triangles
 
 Floats = NDArray[np.float64]
-_OFF = 1e-6  # more or less than 1 that the length of a normal is, to be corrected
+_TOLERANCE = 1e-6  # of the length of a normal; normals that a file stores as integers are a little longer or shorter than 1
 _EXPORT = "export it again, as glTF 2.0"
 
 
@@ -74,7 +75,9 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     faces = np.concatenate([f + starts[of] for f, of in zip(pieces.faces, pieces.of, strict=True)]).astype(np.int32)
     points = np.concatenate(pieces.points).astype(np.float32)
     with_normals = all(each is not None for each in pieces.normals)
-    normals = _normalise(np.concatenate([each for each in pieces.normals if each is not None])) if with_normals else None
+    normals = None
+    if with_normals:
+        normals = unit_normals(np.concatenate([each for each in pieces.normals if each is not None]), _TOLERANCE)
     uvs = None
     if any(each is not None for each in pieces.uvs):
         all_uvs = [np.zeros((n, 2)) if each is None else each for each, n in zip(pieces.uvs, counts, strict=True)]
@@ -92,13 +95,6 @@ def read_shape(body: GltfBody, name: str, mesh: dict[str, Any], skin: dict[str, 
     if number:
         body.shapes[name] = replace(shape, blend=_read_targets(body, shape, pieces, mesh, node))
     return True
-
-
-def _normalise(normals: Floats) -> NDArray[np.float32]:
-    """Return normals (n, 3) scaled to length 1: normals that a file stores as integers are a little longer or shorter."""
-    length = np.sqrt((normals * normals).sum(axis=1, keepdims=True))
-    off = (np.abs(length - 1.0) > _OFF) & (length > 1e-12)
-    return np.where(off, normals / np.where(off, length, 1.0), normals).astype(np.float32)
 
 
 def _read_piece(body: GltfBody, pieces: _MeshPieces, primitive: dict[str, Any], skinned: bool) -> None:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.blend_shapes import attribute_difference, knots_of, match_points, shares_of, values_of
 from antdsl.bodies.agents.definition import Definition, Shape
+from antdsl.bodies.body import unit_normals
 
 VERTICES, INDICES = 34962, 34963  # what a buffer view is bound as
 _COMPONENTS = {"f4": 5126, "u2": 5123, "u4": 5125}
@@ -80,7 +81,7 @@ class ShapeParts:
         self.writer, self.shape = writer, shape
         self.attributes = {"POSITION": writer.accessor(shape.points, "f4", VERTICES, bounds=True)}
         if normals is not None:
-            self.attributes["NORMAL"] = writer.accessor(_normalise(normals), "f4", VERTICES)
+            self.attributes["NORMAL"] = writer.accessor(unit_normals(normals), "f4", VERTICES)
         if shape.uvs is not None:
             self.attributes["TEXCOORD_0"] = writer.accessor(shape.uvs, "f4", VERTICES)
         for name, values in shape.attributes.items():
@@ -184,13 +185,3 @@ class Targets:
         """The weights (n, targets) at values (n, C) of the rig's channels."""
         shares = [shares_of(channels[:, number], knots) for number, knots in self._inputs]
         return np.concatenate(shares).T if shares else np.zeros((len(channels), 0), np.float32)
-
-
-def _normalise(normals: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return normals of length 1, to the precision that the format requires; a zero normal becomes up."""
-    wide = normals.astype(np.float64)
-    length = np.sqrt((wide * wide).sum(axis=1, keepdims=True))
-    unit_normals: NDArray[np.float32] = np.where(length > 1e-12, wide / np.maximum(length, 1e-12), (0.0, 1.0, 0.0)).astype(
-        np.float32
-    )
-    return unit_normals

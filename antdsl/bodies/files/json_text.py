@@ -5,26 +5,107 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from math import isfinite
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.scene.document import Key, decode
 from antdsl.source import Source, Span
 
 Plain = dict[str, "Node"] | list["Node"] | list[float] | str | int | float | bool | None
 
 
+_KINDS = {
+    dict: "an object", list: "a list", str: "a text", bool: "true or false", int: "a number", float: "a number",
+    type(None): "nothing",
+}  # fmt: skip
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Node:
-    """A value at characters `start` to `end`. `value` of an array of numbers only is a list of plain numbers (`numbers`). Any
-    other array is a list of nodes; an object is a mapping, with its keys located at `keys`."""
+    """A value at characters `start` to `end` of a text. `value` of an array of numbers only is a list of plain numbers
+    (`numbers`). Any other array is a list of nodes; an object is a mapping, with its keys located at `keys`."""
 
+    source: Source
     value: Plain
     start: int
     end: int
     keys: dict[str, tuple[int, int]] = field(default_factory=dict)
     numbers: bool = False
+
+    @property
+    def span(self) -> Span:
+        """The span of the complete value."""
+        return Span(self.source, self.start, self.end)
+
+    @property
+    def mark(self) -> Span:
+        """The span that findings mark: the first character of an object or a list, the complete text of other values."""
+        return Span(self.source, self.start, self.start + 1) if isinstance(self.value, dict | list) else self.span
+
+    @property
+    def kind(self) -> str:
+        """What the value is, in words."""
+        return _KINDS[type(self.value)]
+
+    def inner(self, key: Key) -> Node | None:
+        """Return the node of an entry or an item, or None if there is none."""
+        if isinstance(self.value, dict) and isinstance(key, str):
+            return self.value.get(key)
+        if isinstance(self.value, list) and isinstance(key, int) and not self.numbers and 0 <= key < len(self.value):
+            item = self.value[key]
+            return item if isinstance(item, Node) else None
+        return None
+
+
+def find_node(root: Node, path: Sequence[Key]) -> Node:
+    """Return the node that a path of keys leads to. Parts of the path that are not in the tree are skipped."""
+    node = root
+    for key in path:
+        node = node.inner(key) or node
+    return node
+
+
+def find_span(root: Node, path: Sequence[Key], *, key: bool = False) -> Span:
+    """Return the mark of what a path leads to (of its last key if `key`), or of the innermost part of the path that exists."""
+    if not path:
+        return root.mark
+    node, last = find_node(root, path[:-1]), path[-1]
+    if key and isinstance(last, str) and last in node.keys:
+        return Span(node.source, *node.keys[last])
+    if node.numbers and isinstance(last, int):
+        return _number_span(node, last)
+    return (node.inner(last) or node).mark
+
+
+def find_text(root: Node, text: str) -> Span:
+    """Return the span of the first value of a tree that is a given text; the mark of the tree if none is."""
+    waiting = [root]
+    while waiting:
+        node = waiting.pop(0)
+        if node.value == text and isinstance(node.value, str):
+            return node.span
+        children = node.value.values() if isinstance(node.value, dict) else node.value if isinstance(node.value, list) else ()
+        waiting += [each for each in children if isinstance(each, Node)]
+    return root.mark
+
+
+def _number_span(node: Node, number: int) -> Span:
+    """Return the span of a number of an array of numbers."""
+    for count, match in enumerate(re.finditer(r"[^\s,\[\]]+", node.span.text)):
+        if count == number:
+            return Span(node.source, node.start + match.start(), node.start + match.end())
+    return node.span
+
+
+def report_unknown(report: Report, span: Span | None, what: str, name: str, known: Iterable[str], *, warn: bool = False) -> None:
+    """Report an unknown name, with a suggestion of the name that may have been meant."""
+    near = nearest_name(name, known)
+    add = report.warning if warn else report.error
+    add("unknown-name", f"there is no {what} `{name[:60]}`", span, f'write `"{near}"`' if near else None)
 
 
 class _SyntaxRefused(Exception):
@@ -46,6 +127,12 @@ _NO_NUMBERS = frozenset(
 _INSTEAD = {"True": "true", "False": "false", "None": "null", "undefined": "null", "TRUE": "true", "FALSE": "false"}
 
 
+def read_tree(data: bytes, name: str, what: str) -> tuple[Node | None, Report]:
+    """Return the tree of a file's bytes, or None and the first mistake. `what` names the expected part, such as `a rig`."""
+    source, report = decode(data, name, what)
+    return read_json(source, what) if report.ok else (None, report)
+
+
 def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
     """Return the tree of a text, or None and the first mistake. `what` names the expected part, such as `a rig`."""
     reader = _Reader(source, what)
@@ -53,14 +140,6 @@ def read_json(source: Source, what: str) -> tuple[Node | None, Report]:
         return reader.document(), reader.report
     except _SyntaxRefused:
         return None, reader.report
-
-
-def number_place(source: Source, node: Node, number: int) -> Span:
-    """Where a number of an array of numbers stands."""
-    for count, match in enumerate(re.finditer(r"[^\s,\[\]]+", source.text[node.start : node.end])):
-        if count == number:
-            return Span(source, node.start + match.start(), node.start + match.end())
-    return Span(source, node.start, node.end)
 
 
 class _Reader:
@@ -108,7 +187,7 @@ class _Reader:
             return self.string(at)
         match = _NUMBER.match(self.text, at)
         if match:
-            return Node(self.number(match), at, match.end())
+            return Node(self.source, self.number(match), at, match.end())
         return self.word(at)
 
     def number(self, match: re.Match[str]) -> int | float:
@@ -135,7 +214,7 @@ class _Reader:
         if not all(-_FARTHEST <= each <= _FARTHEST for each in values):
             return None
         self.count += len(values) // 16  # a plain number takes less than a node
-        return Node(values, at, match.end(), numbers=True)
+        return Node(self.source, values, at, match.end(), numbers=True)
 
     def next_depth(self, at: int, depth: int) -> int:
         if depth >= limits.NESTING:
@@ -148,7 +227,7 @@ class _Reader:
         while self.text[place : place + 1] != "]":
             items.append(self.value(self.require_text(place, at, "]"), depth))
             place = self.next_item(items[-1].end, at, "]")
-        return Node(items, at, place + 1)
+        return Node(self.source, items, at, place + 1)
 
     def object(self, at: int, depth: int) -> Node:
         depth, place = self.next_depth(at, depth), self.skip_space(at + 1)
@@ -169,7 +248,7 @@ class _Reader:
                 raise self.refuse(key.start, key.end, f"`{name[:60]}` has no value", 'write `"key": value`')
             entries[name], keys[name] = self.value(place, depth), (key.start, key.end)
             place = self.next_item(entries[name].end, at, "}")
-        return Node(entries, at, place + 1, keys)
+        return Node(self.source, entries, at, place + 1, keys)
 
     def key(self, at: int) -> Node:
         if self.text[at] == '"':
@@ -214,13 +293,13 @@ class _Reader:
             raise self.refuse(
                 at, match.end(), "this text has half of a character (a lone surrogate)", "write the character itself"
             )
-        return Node(text, at, match.end())
+        return Node(self.source, text, at, match.end())
 
     def word(self, at: int) -> Node:
         match = _WORD.match(self.text, at)
         word = match[0] if match else self.text[at : at + 1]
         if word in _WORDS:
-            return Node(_WORDS[word], at, at + len(word))
+            return Node(self.source, _WORDS[word], at, at + len(word))
         message, help = f"`{word}` is not a value", None
         if word.lower() in _NO_NUMBERS:
             message, help = f"`{word}` is not a valid number here", "write a number, such as `0`"

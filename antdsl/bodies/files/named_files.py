@@ -9,20 +9,16 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TypeVar
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import BodyError, Definition, Rig
-from antdsl.bodies.files.checked_values import Values
-from antdsl.bodies.files.documents import read_part
 from antdsl.bodies.files.gltf_body import read_gltf
-from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.json_text import Node, read_tree
 from antdsl.diagnostics import Report
 from antdsl.scene.geometry.usd.errors import UsdError
 from antdsl.scene.paths import PathRefused, Roots, read_named
 from antdsl.source import Span
 
-T = TypeVar("T")
 GLTF, USD, MESHES = ("glb", "gltf"), ("usd", "usda", "usdc", "usdz"), ("obj", "ply", "stl")
 RATE = 30.0  # samples per second of animations with no rate in their file
 _ROOTED = re.compile("[A-Za-z][A-Za-z0-9_]{1,31}:")
@@ -78,26 +74,18 @@ class BodyFiles:
         self.report.error("wrong-kind", f"`{path[-80:]}` cannot be read here", place, _CLOSED[kind])
         return True
 
-    def read_part_file(
-        self, path: str, what: str, read: Callable[[Values, Node], T], place: Span | None
-    ) -> tuple[T | None, Values | None]:
-        """Read a part from a separate JSON file. Return it with the values of that file, for later findings."""
+    def read_part(self, path: str, what: str, place: Span | None) -> Node | None:
+        """Return the tree of a part in a separate JSON file. `what`: the expected part, such as `a rig`."""
         if self.is_closed_format(path, place):
-            return None, None
-        file_values: list[Values] = []
-
-        def noted(values: Values, node: Node) -> T:
-            file_values.append(values)
-            return read(values, node)
-
+            return None
         try:
             data = self.bytes_of(self.full(path), limits.BODY_TEXT_BYTES)
         except PathRefused as why:
             self.report_refusal(why, place)
-            return None, None
-        result, report = read_part(data, self.display_path(path), what, noted)
+            return None
+        root, report = read_tree(data, self.display_path(path), what)
         self.report.extend(report)
-        return result, file_values[0] if file_values else None
+        return root
 
     def display_path(self, path: str) -> str:
         """How a file is called in complaints."""

@@ -10,10 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from antdsl.bodies.agents.definition import Definition, with_language_names
-from antdsl.bodies.files.checked_values import Values
-from antdsl.bodies.files.definition_checks import check_definition
-from antdsl.bodies.files.definition_document import Parts, read_document
-from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.definition_checks import Parts, check_definition
 from antdsl.bodies.files.named_files import GLTF, USD, BodyFiles, file_ending
 from antdsl.diagnostics import Report
 from antdsl.scene.paths import Roots, Sought, record_request, record_sought, reopen
@@ -53,12 +50,10 @@ def read_definition(
         kinds = ", ".join(f".{each}" for each in ("json", *GLTF, *USD))
         report.error("wrong-kind", f"`{display_path[-80:]}` is no file of a body", place, f"one of {kinds} is read")
         return None, report
+    from antdsl.bodies.files.definition_document import read_document  # late: most commands read no definition file
 
-    def document(values: Values, node: Node) -> Parts | None:
-        values.report = report
-        return read_document(values, node, files, name)
-
-    parts, _ = files.read_part_file(text, "a definition", document, place)
+    root = files.read_part(text, "a definition", place)
+    parts = None if root is None else read_document(root, files, name)
     return (None if parts is None else check_definition(parts, report)), report
 
 
@@ -70,30 +65,30 @@ class CachedDefinition:
     files: dict[Path, tuple[Path | None, Stamp]]
 
 
-_kept: OrderedDict[tuple[object, ...], CachedDefinition] = OrderedDict()
+_cached: OrderedDict[tuple[object, ...], CachedDefinition] = OrderedDict()
 
 
 def load_definition(text: str, roots: Roots, place: Span) -> tuple[Definition | None, Report]:
     """Read as `read_definition`, for a path in a scene, with names in the spelling of the language. A definition that was read
     before without findings is cached."""
     key = (text, str(roots.folder), *((name, str(folder)) for name, folder in sorted(roots.granted.items())))
-    known = _kept.get(key)
+    known = _cached.get(key)
     if known is not None and all(_stamp(path, root) == stamp for path, (root, stamp) in known.files.items()):
-        _kept.move_to_end(key)
+        _cached.move_to_end(key)
         for path, (root, _) in known.files.items():
             record_request(path, root)
         return known.definition, Report()
     with record_sought() as files:
         definition, report = read_definition(text, roots, place)
     definition = None if definition is None else with_language_names(definition)
-    _kept.pop(key, None)
+    _cached.pop(key, None)
     stamps = _file_stamps(files)
     if definition is not None and not report.sorted() and all(stamp is not None for _, stamp in stamps.values()):
-        _kept[key] = CachedDefinition(
+        _cached[key] = CachedDefinition(
             definition, {path: (root, stamp) for path, (root, stamp) in stamps.items() if stamp is not None}
         )
-        while len(_kept) > MOST:
-            _kept.popitem(last=False)
+        while len(_cached) > MOST:
+            _cached.popitem(last=False)
     return definition, report
 
 

@@ -10,103 +10,86 @@ import numpy as np
 
 from antdsl import limits
 from antdsl.bodies.agents.definition import Blend, InBetweens, Shape
-from antdsl.bodies.files.checked_values import Values
-from antdsl.bodies.files.json_text import Node
+from antdsl.bodies.files.document_model import BodyForm, ShapeReference
+from antdsl.bodies.files.json_text import Node, find_node, find_span, report_unknown
 from antdsl.bodies.files.named_files import GLTF, MESHES, USD, BodyFiles, file_ending
+from antdsl.diagnostics import Label
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import read_mesh
-from antdsl.scene.model import UNIT_MM
 from antdsl.scene.paths import PathRefused
 from antdsl.source import Span
 
-_BLEND = (
-    "blendshape_shapenames", "blendshape_channels", "blendshape_inbetweenweights", "blendshape_attribs", "blendshape_ptidattr",
-    "blendshape_primidattr", "deformDualQuaternionBlendAttrib",
-)  # fmt: skip
-_KNOWN = ("file", "shape", "name", "units", "material", "prim", *_BLEND)
+Colours = dict[str, tuple[float, float, float]]
 
 
-def read_shapes(
-    values: Values,
-    node: Node,
-    files: BodyFiles,
-    unit: float,
-    shapes: dict[str, Shape],
-    materials: dict[str, tuple[float, float, float]],
-) -> None:
-    """Add the shapes of a list of references to `shapes`, and the colours of their materials. A reference without a file changes
-    an existing shape. `unit`: millimetres in one of the definition's units."""
+def read_shapes(form: BodyForm, root: Node, files: BodyFiles, unit: float, shapes: dict[str, Shape], materials: Colours) -> None:
+    """Add the shapes that a definition refers to to `shapes`, and the colours of their materials. A reference without a file
+    changes an existing shape. `unit`: millimetres in one of the definition's units."""
     first: dict[str, Span] = {}
-    for each in values.items(node, 'references such as `{"file": "sword.obj", "name": "sword"}`'):
-        entries = values.object(each, "a shape", _KNOWN)
-        if entries is None:
-            continue
-        new_shapes = _read_reference(values, each, entries, files, shapes, materials)
-        name = values.text(entries.get("name"), "the name of a shape")
-        factor = _read_factor(values, entries.get("units"), unit)
-        if name is not None and len(new_shapes) != 1:
+    for number, reference in enumerate(form.shapes):
+        node = find_node(root, ("shapes", number))
+        new_shapes = _referenced_shapes(reference, node, files, shapes, materials)
+        if reference.name is not None and len(new_shapes) != 1:
             if new_shapes:
                 words = f"a name is given, and the file has {len(new_shapes)} shapes"
-                values.report.error("wrong-value", words, values.span(entries["name"]), f'add `"shape": "{new_shapes[0].name}"`')
+                help = f'add `"shape": "{new_shapes[0].name}"`'
+                files.report.error("wrong-value", words, find_span(node, ("name",)), help)
             continue
         for shape in new_shapes:
-            shape = scale_shape(shape, factor) if factor != 1.0 else shape
-            if "file" not in entries:
+            if reference.units is not None and reference.units != unit:
+                shape = scale_shape(shape, reference.units / unit)
+            if reference.file is None:
                 shapes.pop(shape.name, None)
-            shape = replace(shape, name=name or shape.name)
-            if "material" in entries and (material := values.text(entries["material"], "the name of a material")) is not None:
-                shape = replace(shape, materials=(material,), material=np.zeros(len(shape.faces), np.int32))
-            if any(key in entries for key in _BLEND):
-                shape = _with_blend(values, each, entries, shape)
+            shape = replace(shape, name=reference.name or shape.name)
+            if reference.material is not None:
+                shape = replace(shape, materials=(reference.material,), material=np.zeros(len(shape.faces), np.int32))
+            shape = _with_blend(reference, node, files, shape)
             if shape.name in shapes:
-                place = entries["name"] if "name" in entries else entries.get("file", each)
-                labelled = first.get(shape.name, values.start_span(node))
-                values.report_repeated(place, f"there are two shapes `{shape.name}`", labelled)
+                words, label = f"there are two shapes `{shape.name}`", first.get(shape.name, find_span(root, ("shapes",)))
+                place = find_span(node, ("name" if reference.name else "file",))
+                files.report.error("duplicate-name", words, place, "keep one of them", labels=(Label(label, "here first"),))
                 continue
             shapes[shape.name] = shape
-            first[shape.name] = values.span(entries["name"]) if "name" in entries else values.start_span(each)
+            first[shape.name] = find_span(node, ("name",))
 
 
-def _read_reference(
-    values: Values, node: Node, entries: Mapping[str, Node], files: BodyFiles, shapes: Mapping[str, Shape],
-    materials: dict[str, tuple[float, float, float]],
-) -> list[Shape]:  # fmt: skip
-    """The shapes that a reference means."""
-    shape_name = values.text(entries.get("shape"), "the name of a shape in the file")
-    if "file" not in entries:
-        if shape_name is None:
-            values.report.error("missing-key", "a shape has no `file`", values.start_span(node), 'add `"file": "sword.obj"`')
-        elif shape_name not in shapes:
-            values.report_unknown(values.span(entries["shape"]), "shape", shape_name, shapes)
-        return [shapes[shape_name]] if shape_name is not None and shape_name in shapes else []
-    path = values.text(entries["file"], "the path of a file")
-    if path is None:
+def _referenced_shapes(
+    reference: ShapeReference, node: Node, files: BodyFiles, shapes: Mapping[str, Shape], materials: Colours
+) -> list[Shape]:
+    """Return the shapes that a reference means."""
+    if reference.file is None:
+        if reference.shape is None:
+            files.report.error("missing-key", "a shape has no `file`", node.mark, 'add `"file": "sword.obj"`')
+            return []
+        what, known = "shape", shapes
+    else:
+        place, name = find_span(node, ("file",)), reference.name or _file_stem(reference.file)
+        what, known = (
+            f"shape in `{reference.file[-60:]}`",
+            shapes_of(files, reference.file, place, materials, name, reference.prim),
+        )
+        if reference.shape is None or not known:
+            return list(known.values())
+    if reference.shape not in known:
+        report_unknown(files.report, find_span(node, ("shape",)), what, reference.shape, known)
         return []
-    new_shapes = shapes_of(files, path, values.span(entries["file"]), materials, _stem(values, entries, path))
-    if shape_name is None or not new_shapes:
-        return list(new_shapes.values())
-    if shape_name not in new_shapes:
-        values.report_unknown(values.span(entries["shape"]), f"shape in `{path[-60:]}`", shape_name, new_shapes)
-        return []
-    return [new_shapes[shape_name]]
+    return [known[reference.shape]]
 
 
-def _stem(values: Values, entries: Mapping[str, Node], path: str) -> str:
-    name = entries.get("name")
-    if name is not None and isinstance(name.value, str) and name.value:
-        return name.value
+def _file_stem(path: str) -> str:
     return path.rpartition("/")[2].rpartition(":")[2].rpartition(".")[0] or "shape"
 
 
 def shapes_of(
-    files: BodyFiles, path: str, place: Span, materials: dict[str, tuple[float, float, float]], name: str
-) -> dict[str, Shape]:
-    """Return the shapes of a file by name: all of a glTF or USD file; one called `name` of a mesh file."""
+    files: BodyFiles, path: str, place: Span, materials: Colours, name: str, prim: str | None = None
+) -> Mapping[str, Shape]:
+    """Return the shapes of a file by name: all of a glTF or USD file (of USD, at and below `prim`); one called `name` of a mesh
+    file."""
     kind = file_ending(path)
     if files.is_closed_format(path, place):
         return {}
     if kind in GLTF or kind in USD:
-        body = files.body(path, place)
+        body = files.body(path, place, prim or "")
         if body is None:
             return {}
         for material, colour in body.materials.items():
@@ -132,39 +115,22 @@ def shapes_of(
     return {name: Shape(name, mesh.vertices.astype(np.float32), mesh.faces.astype(np.int32), attributes=dict(ids))}
 
 
-def read_includes(
-    values: Values, node: Node, files: BodyFiles, shapes: dict[str, Shape], materials: dict[str, tuple[float, float, float]]
-) -> None:
+def read_includes(form: BodyForm, root: Node, files: BodyFiles, shapes: dict[str, Shape], materials: Colours) -> None:
     """Add the shapes of included libraries, each named by a condensed and an absolute path."""
-    for pair in values.items(node, "pairs of a condensed and an absolute path"):
-        texts = [values.text(each, "a path", empty=True) for each in values.items(pair, "paths")]
-        if len(texts) != 2 or None in texts:
-            if None not in texts:
-                words = f"a library needs two paths, but this list has {len(texts)}"
-                values.report.error("wrong-value", words, values.span(pair), 'write `["$HIP/lib.glb", "/…/lib.glb"]`')
-            continue
-        condensed, absolute = str(texts[0]), str(texts[1])
-        if files.is_closed_format(condensed or absolute, values.span(pair)):
+    for number, (condensed, absolute) in enumerate(form.shapelib_includes):
+        place = find_node(root, ("shapelib_includes", number)).span
+        if files.is_closed_format(condensed or absolute, place):
             continue
         try:
             path = files.resolve_library(condensed, absolute)
         except PathRefused as why:
-            files.report_refusal(why, values.span(pair))
+            files.report_refusal(why, place)
             continue
-        for name, shape in shapes_of(files, path, values.span(pair), materials, _stem(values, {}, path)).items():
+        for name, shape in shapes_of(files, path, place, materials, _file_stem(path)).items():
             if name in shapes:
-                values.report.error("duplicate-name", f"there are two shapes `{name}`", values.span(pair), None)
+                files.report.error("duplicate-name", f"there are two shapes `{name}`", place, None)
             else:
                 shapes[name] = shape
-
-
-def _read_factor(values: Values, node: Node | None, unit: float) -> float:
-    if node is None:
-        return 1.0
-    if not isinstance(node.value, str) or node.value not in UNIT_MM:
-        values.report.error("wrong-value", "expected a unit of length here", values.span(node), 'write `"mm"`')
-        return 1.0
-    return UNIT_MM[node.value] / unit
 
 
 def scale_shape(shape: Shape, factor: float) -> Shape:
@@ -177,42 +143,37 @@ def scale_shape(shape: Shape, factor: float) -> Shape:
     return replace(shape, points=(shape.points * np.float32(factor)).astype(np.float32), capture=capture)
 
 
-def _with_blend(values: Values, node: Node, entries: Mapping[str, Node], shape: Shape) -> Shape:
+def _with_blend(reference: ShapeReference, node: Node, files: BodyFiles, shape: Shape) -> Shape:
     """Return a shape with the documented blend attributes: of a base shape (names and channels), or of an input with in-between
     shapes (names and weights)."""
-    if "deformDualQuaternionBlendAttrib" in entries:
-        name = values.text(entries["deformDualQuaternionBlendAttrib"], "the name of an attribute", empty=True)
-        shape = replace(shape, dual_quaternion_blend=name or "")
-    if not any(key in entries for key in _BLEND[:-1]):
+    keys = {key for key in reference.model_fields_set if key.startswith("blendshape_")}
+    if "deformDualQuaternionBlendAttrib" in reference.model_fields_set:
+        shape = replace(shape, dual_quaternion_blend=reference.deformDualQuaternionBlendAttrib)
+    if not keys:
         return shape
-    names = _texts(values, entries.get("blendshape_shapenames"), "names of shapes")
-    if "blendshape_shapenames" not in entries:
+    names, channels, weights = (
+        reference.blendshape_shapenames, reference.blendshape_channels, reference.blendshape_inbetweenweights,
+    )  # fmt: skip
+    if "blendshape_shapenames" not in keys:
         words = "a blend shape does not say which shapes it blends"
-        values.report.error("missing-key", words, values.start_span(node), 'add `"blendshape_shapenames": ["…"]`')
+        files.report.error("missing-key", words, node.mark, 'add `"blendshape_shapenames": ["…"]`')
         return shape
-    if "blendshape_inbetweenweights" in entries:
-        weights = values.numbers(entries["blendshape_inbetweenweights"], "weights of in-between shapes", len(names))
-        if weights is None:
+    if "blendshape_inbetweenweights" in keys:
+        place = find_node(node, ("blendshape_inbetweenweights",)).span
+        if len(weights) != len(names):
+            words = f"there are {len(names)} in-between shapes, but {len(weights)} weights"
+            files.report.error("wrong-value", words, place, "give a weight for each shape")
             return shape
-        for number in np.flatnonzero((weights == 0) | (weights == 1)):
-            words = f"the in-between shape `{names[number]}` has the weight {weights[number]:g}, "
-            words += "which is reserved for complete shapes"
-            values.report.error("out-of-range", words, values.span(entries["blendshape_inbetweenweights"]), "write `0.5`")
-        return replace(shape, between=InBetweens(names, tuple(map(float, weights))))
-    channels = _texts(values, entries.get("blendshape_channels"), "names of channels")
+        for name, weight in zip(names, weights, strict=True):
+            if weight in (0, 1):
+                words = f"the in-between shape `{name}` has the weight {weight:g}, which is reserved for complete shapes"
+                files.report.error("out-of-range", words, place, "write `0.5`")
+        return replace(shape, between=InBetweens(names, weights))
     if len(channels) != len(names):
         words = f"there are {len(names)} shapes to blend, but {len(channels)} channels"
-        place = values.span(entries.get("blendshape_channels", entries["blendshape_shapenames"]))
-        values.report.error("wrong-value", words, place, "name a channel for each shape")
+        place = find_node(node, ("blendshape_channels" if "blendshape_channels" in keys else "blendshape_shapenames",)).span
+        files.report.error("wrong-value", words, place, "name a channel for each shape")
         return shape
-    attributes = values.text(entries.get("blendshape_attribs"), "names of attributes") or "P N"
-    point, primitive = (
-        values.text(entries.get(key), "the name of an attribute") or "id"
-        for key in ("blendshape_ptidattr", "blendshape_primidattr")
-    )
-    return replace(shape, blend=Blend(names, channels, tuple(attributes.split()), point, primitive))
-
-
-def _texts(values: Values, node: Node | None, what: str) -> tuple[str, ...]:
-    texts = [values.text(each, f"one of the {what}") for each in values.items(node, what)] if node is not None else []
-    return tuple(each for each in texts if each is not None)
+    attributes = tuple(reference.blendshape_attribs.split())
+    blend = Blend(names, channels, attributes, reference.blendshape_ptidattr, reference.blendshape_primidattr)
+    return replace(shape, blend=blend)

@@ -7,6 +7,7 @@ it."""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from antdsl import limits
 from antdsl.bodies.agents.definition import Binding, BodyError, Clip, Definition, Layer, Rig
 from antdsl.bodies.agents.packed import pack_definition
 from antdsl.bodies.agents.transforms import align_signs, compose_transforms, unit_quaternion
-from antdsl.bodies.files.gltf_clips import even_times
+from antdsl.bodies.files.gltf_clips import EXTRAS, even_times
 from antdsl.bodies.files.gltf_shapes import rigid_capture, unused_name
 from antdsl.bodies.files.usd_shapes import Skin, UsdBody, read_usd_shape
 from antdsl.reader.protocol import Refusal
@@ -46,19 +47,19 @@ class _Skeleton:
 
 @with_refusals
 def read_body(request: Message) -> Answer:
-    """Return the arrays that `packed` makes of the definition, and sentences `left_out` about the parts of the file that are not
-    read."""
+    """Return the arrays that `packed` makes of the definition, sentences `left_out` about the parts of the file that are not
+    read, and `settings`: JSON of the custom data of clips by their names."""
     said = request.document
     try:
-        definition, left_out = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
+        definition, body = _read_definition(open_stage(request), str(said["prim"]), str(said["name"]), float(said["rate"]))
     except BodyError as why:
         raise Refusal(why.code, str(why), why.help, "prim", "body") from why
-    return {"left_out": left_out}, pack_definition(definition)
+    return {"left_out": list(body.left_out), "settings": json.dumps(body.settings, default=str)}, pack_definition(definition)
 
 
-def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, list[str]]:
-    """Return the definition at and below a prim, and sentences about what is not read. `rate`: samples per second of its
-    animations, 0 for the stage's own. Raises BodyError if there is none."""
+def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tuple[Definition, UsdBody]:
+    """Return the definition at and below a prim, and the state of the import. `rate`: samples per second of its animations, 0 for
+    the stage's own. Raises BodyError if there is none."""
     body = UsdBody(stage)
     bindings = list(_skeleton_bindings(stage))
     skeletons = [_read_skeleton(body, skeleton, query) for skeleton, query, _ in bindings]
@@ -99,7 +100,7 @@ def _read_definition(stage: OpenStage, prim: str, name: str, rate: float) -> tup
     layers = {LAYER: layer} if body.shapes else {}
     unit = float(geom.GetStageMetersPerUnit(stage.stage)) * 1000.0
     definition = Definition(name, rig, body.shapes, layers, clips, materials=body.materials, front=front, up=up, unit=unit)
-    return definition, list(body.left_out)
+    return definition, body
 
 
 # ---- joints
@@ -205,6 +206,9 @@ def _read_clips(body: UsdBody, skeletons: list[_Skeleton], rate: float) -> list[
         known_paths.add(path)
         clip = _read_clip(body, query, skeleton, unused_name(query.GetPrim().GetName(), clips), rate, left)
         if clip is not None:
+            custom_data = query.GetPrim().GetCustomDataByKey(EXTRAS)
+            if custom_data is not None:
+                body.settings[clip.name] = custom_data
             left -= clip.translation.nbytes + clip.rotation.nbytes + clip.scale.nbytes + clip.values.nbytes
             clips[clip.name] = clip
     return list(clips.values())

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import replace
 from fractions import Fraction
+from typing import Any
 
 from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import PARTS, unpack_definition
-from antdsl.reader.protocol import ProtocolError, Refusal, display_text
+from antdsl.bodies.files.gltf_clips import read_settings, with_settings
+from antdsl.reader.protocol import Message, ProtocolError, Refusal, display_text
 from antdsl.scene.geometry.usd import UsdError, open_stage
 from antdsl.scene.paths import Roots
 
@@ -20,6 +24,7 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
     try:
         answer = stage.ask("usd-body", {"name": name, "rate": rate})
         left_out = [display_text(sentence) for sentence in answer.texts("left_out", _SENTENCES)]
+        settings = _clip_settings(answer)
         if set(answer.arrays) != set(PARTS):
             raise ProtocolError("a part of the body is missing")
     except UsdError:
@@ -28,4 +33,18 @@ def read_usd(roots: Roots, text: str, prim: str, name: str, rate: float) -> tupl
         raise BodyError(str(why), why.help, why.code) from None
     except ProtocolError as why:
         raise stage.make_answer_error(why) from None
-    return unpack_definition(answer.arrays), left_out
+    definition = unpack_definition(answer.arrays)
+    known = {name: each for name, each in settings.items() if name in definition.clips}
+    clips = {name: with_settings(definition.clips[name], read_settings(each, "customData", name)) for name, each in known.items()}
+    return replace(definition, clips={**definition.clips, **clips}), left_out
+
+
+def _clip_settings(answer: Message) -> dict[str, Any]:
+    """Return the custom data of animations by the names of their clips."""
+    try:
+        settings = json.loads(answer.document["settings"])
+    except (KeyError, TypeError, ValueError, RecursionError):
+        settings = None
+    if not isinstance(settings, dict):
+        raise ProtocolError("the settings of clips are missing")
+    return settings

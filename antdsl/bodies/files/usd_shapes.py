@@ -42,6 +42,7 @@ class UsdBody:
     shapes: dict[str, Shape] = field(default_factory=dict)
     materials: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     left_out: dict[str, None] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)  # the custom data of animations by the name of the clip
     points: int = 0
 
     def add_joint(self, name: str, parent: int, rest: Floats) -> int:

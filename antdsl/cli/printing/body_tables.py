@@ -9,19 +9,18 @@ from typing import Any
 import numpy as np
 
 from antdsl.bodies.agents.definition import Clip, Definition, Gait, Layer, Shape, language_names
-from antdsl.bodies.files.definition_parts import plain_metadata
+from antdsl.bodies.files.document_values import axis_word
+from antdsl.bodies.files.documents import plain_metadata
 from antdsl.diagnostics import Report
 from antdsl.diagnostics.places import escape_line
 from antdsl.diagnostics.render import render, visible_diagnostics
 from antdsl.scene.model import UNIT_MM
 
-_AXES = {sign + letter: np.eye(3)[axis] * (1 if sign == "+" else -1) for axis, letter in enumerate("xyz") for sign in "+-"}
-
 
 def body_lines(body: Definition) -> Iterator[str]:
     """The lines that tell about a definition."""
     unit = unit_of(body)
-    yield f"body         {body.name}: {body.length:.4g} {unit} long, front {axis(body.front)}, up {axis(body.up)}"
+    yield f"body         {body.name}: {body.length:.4g} {unit} long, front {axis_word(body.front)}, up {axis_word(body.up)}"
     yield f"joints       {len(body.rig.names)}"
     yield from tree_lines(body)
     for each in body.rig.channels:
@@ -80,12 +79,6 @@ def unit_of(body: Definition) -> str:
     return next((name for name, mm in UNIT_MM.items() if abs(mm / body.unit - 1) < 1e-6), f"× {body.unit:g} mm")
 
 
-def axis(vector: Iterable[float]) -> str:
-    """An axis by its name, such as `+z`."""
-    array = np.array(tuple(vector))
-    return next(name for name, each in _AXES.items() if (each == array).all())
-
-
 def _describe_shape(shape: Shape) -> list[str]:
     words = [f"{len(shape.points):,} points", f"{len(shape.faces):,} triangles"]
     if shape.capture is not None:
@@ -141,7 +134,8 @@ def body_document(body: Definition | None, report: Report) -> str:
     content: dict[str, Any] = {"format_version": "1.0", "valid": report.ok, "body": None, "findings": findings}
     if body is not None:
         content["body"] = {
-            "name": body.name, "length": body.length, "unit_mm": body.unit, "front": axis(body.front), "up": axis(body.up),
+            "name": body.name, "length": body.length, "unit_mm": body.unit, "front": axis_word(body.front),
+            "up": axis_word(body.up),
             "joints": {
                 name: None if parent < 0 else body.rig.names[parent]
                 for name, parent in zip(body.rig.names, body.rig.parents, strict=True)

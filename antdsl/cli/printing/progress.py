@@ -127,14 +127,10 @@ def show_progress(recording: Recording, quiet: bool) -> Iterator[ProgressDisplay
     if can_draw_bar():
         from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-        left = (
-            frames.last - recording.resumed_from
-            if recording.resumed_from is not None
-            else frames.last - frames.first + 1 + preroll
-        )
+        start = frames.first - 1 - preroll if recording.resumed_from is None else recording.resumed_from
         columns = (BarColumn(24), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[words]}"))
         with note_output(), Progress(*columns) as bar:
-            yield BarProgress(recording, bar, bar.add_task("", total=left, words=""))
+            yield BarProgress(recording, bar, bar.add_task("", total=frames.last - start, words=""))
     else:
         yield LineProgress(recording)
     if recording.complete:

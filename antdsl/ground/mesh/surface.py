@@ -245,20 +245,19 @@ class MeshGround:
 
     def _ray_scene(self, on: Iterable[str] | None) -> tuple[RayScene, Index]:
         """Return rays against some surfaces, and the ground's face number of each face of that scene."""
-        chosen = (
-            tuple(range(len(self.names))) if on is None else tuple(sorted(self.names.index(n) for n in self._require_names(on)))
-        )
+        chosen = self._surface_numbers(on)
         if chosen not in self._scenes:
             live = np.flatnonzero(self._table.live & np.isin(self._mesh, chosen))
             self._scenes[chosen] = (RayScene(self._vertices, self._faces[live]), live)
         return self._scenes[chosen]
 
-    def _require_names(self, on: Iterable[str]) -> tuple[str, ...]:
-        names = tuple(on)
+    def _surface_numbers(self, on: Iterable[str] | None) -> tuple[int, ...]:
+        """Return the numbers of surfaces, all if `on` is None. Raises KeyError for an unknown name."""
+        names = self.names if on is None else tuple(on)
         for name in names:
             if name not in self.names:
                 raise KeyError(f"no surface `{name}` on this ground, which has {', '.join(self.names) or 'none'}")
-        return names
+        return tuple(sorted(self.names.index(name) for name in names))
 
     @staticmethod
     def _face_of(mesh: NDArray[np.int32], face: NDArray[np.int32], live: Index) -> Index:

@@ -37,21 +37,8 @@ from antdsl.ground.mesh.walkers import (
     Walk,
     Walker,
 )  # fmt: skip
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F64,
-    I32,
-    I64,
-    U8,
-    Array1,
-    Array2,
-    Strided2,
-    called,
-    fetch_ahead,
-    independent,
-    inlined,
-    kernel,
-)
+from antdsl.machine_code.kernels import called, fetch_ahead, independent, inlined, kernel
+from antdsl.machine_code.kernels.types import BOOL, F64, I32, I64, U8, Array1, Array2, Strided2
 from antdsl.numerics.kernel_vectors import Pose, Vec3, Weights, of, put_vector
 from antdsl.numerics.kernel_vectors import clamp_weights as _inside
 from antdsl.numerics.parallel import buffer_index

@@ -18,12 +18,12 @@ from antdsl.lsp.features.proposals import (
     species,
     values,
 )
-from antdsl.lsp.words import FORM_HELP, KINDS, SETTINGS
+from antdsl.lsp.words import FORM_HELP, SETTINGS
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.expectations import MOTION
 from antdsl.program.tables.colours import COLOURS
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KINDS_OF_THINGS, WITH_FACES, replacements
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, TYPE_WORDS
 from antdsl.syntax import nodes
 from antdsl.syntax.words import FIXED_SETTINGS, FORMS, LINE_WORDS, UNIT_NAMES
@@ -75,11 +75,11 @@ def _line_start(request: Request, rule: str) -> Iterator[Item]:
     for word in LINE_WORDS.get(rule, ()):
         yield _word(word)
     if rule == "world_item":
-        for word, help in KINDS.items():
-            yield Item(word, "keyword", "kind of thing", help)
+        for word, kind in KINDS_OF_THINGS.items():
+            yield Item(word, "keyword", "kind of thing", kind.help)
     elif rule == "setting":
-        for word, help in SETTINGS.items():
-            yield Item(word, "property", "setting of a field", help)
+        for word, setting in SETTINGS.items():
+            yield Item(word, "property", "setting of a field", setting.help)
     elif rule == "member":
         for word, row in BUILTIN_ATTRIBUTES.items():
             if row.settable:
@@ -226,7 +226,7 @@ def _item_or_animal(request: Request) -> Iterator[Item]:
 def _names_of_kind(kind: str) -> Callable[[Request], Iterator[Item]]:
     """Return the function that proposes names for a statement, by the kind in its row."""
     others = {"field": fields, "event": _events, "species": species}
-    return others.get(kind) or make_thing_rule(*KINDS_OF_THINGS[kind].serves)
+    return others.get(kind) or make_thing_rule(*replacements(kind))
 
 
 _PROPOSALS: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
@@ -234,7 +234,7 @@ _PROPOSALS: tuple[tuple[str, Callable[[Request], Iterator[Item]]], ...] = (
     (r"^start[ \t]+$", _states),
     (r"^from any except ([a-z_0-9]+, *)*$", _states),
     (r"(\b|\.)(state|previous|next)[ \t]*[!=]=[ \t]*$", _comparison_values),
-    (r"^field[ \t]+[a-z_0-9]+[ \t]+on[ \t]+([a-z_0-9]+,[ \t]*)*$", make_thing_rule("surface", "solid", "obstacle")),
+    (r"^field[ \t]+[a-z_0-9]+[ \t]+on[ \t]+([a-z_0-9]+,[ \t]*)*$", make_thing_rule(*WITH_FACES)),
     (r"^on[ \t]+$", _event_or_field),
     (r"^each[ \t]+$", species),
     *((rf"^{row.op}[ \t]+$", _names_of_kind(row.target)) for row in EFFECTS.values() if row.target),

@@ -14,16 +14,7 @@ from antdsl.lsp.text import Range
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.names.bindings import Key
 from antdsl.program.names.declared import Declaration
-from antdsl.program.tables.vocabulary import (
-    BUILTIN_ATTRIBUTES,
-    BUILTINS,
-    HIT_ATTRIBUTES,
-    ITEM_ATTRIBUTES,
-    REDUCERS,
-    RESERVED,
-    RUN_NAMES,
-    SENSED_NAMES,
-)
+from antdsl.program.tables import vocabulary
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.source import Source, Span
 
@@ -33,7 +24,9 @@ GIVEN_BY_AUTHOR = frozenset(
      "alias", "scene-item")
 )  # fmt: skip
 _NAME = re.compile(r"[a-z][a-z_0-9]*")
-_TAKEN = frozenset({*RUN_NAMES, *SENSED_NAMES, *RESERVED, *STATE_WORDS, "self", "true", "false", "it"})
+_TAKEN = frozenset(
+    {*vocabulary.RUN_NAMES, *vocabulary.SENSED_NAMES, *vocabulary.RESERVED, *STATE_WORDS, "self", "true", "false", "it"}
+)
 _UNKNOWN = {
     "?": ("thing", "field", "species"), "?state": ("state",), "?behaviour": ("behaviour",), "?member": ("own", "attribute"),
     "?scene": ("thing", "scene-item"), "?layer": ("own", "thing", "field", "species", "behaviour", "inner"),
@@ -198,13 +191,13 @@ def renamable_name(workspace: Workspace, document: Document, offset: int) -> Occ
     return occurrence
 
 
-def rename(workspace: Workspace, document: Document, offset: int, new: str) -> list[NameLocation]:
+def rename_symbol(workspace: Workspace, document: Document, offset: int, new: str) -> list[NameLocation]:
     """Return all positions that a new name must be written to. Names that `take` and `give` bind together are renamed
     together."""
     first = renamable_name(workspace, document, offset)
     if not _NAME.fullmatch(new) or len(new) > limits.NAME_CHARACTERS:
         raise RenameRefused(f"`{new[:80]}` is no name: small letters, digits and `_`, beginning with a letter")
-    called = first.key[0] == "behaviour" and (new in BUILTINS or new in REDUCERS)
+    called = first.key[0] == "behaviour" and (new in vocabulary.BUILTINS or new in vocabulary.REDUCERS)
     if new in _TAKEN or new in keywords() or called or _is_built_in(first.key, new):
         raise RenameRefused(f"`{new}` is a word of the language")
     keys = _jointly_bound_keys(
@@ -230,8 +223,8 @@ def _is_own_file(workspace: Workspace, path: Path) -> bool:
 
 def _is_built_in(key: Key, new: str) -> bool:
     if key[0] in ("own", "let", "machine"):
-        return new in BUILTIN_ATTRIBUTES
-    return key[0] == "attribute" and (new in ITEM_ATTRIBUTES or new in HIT_ATTRIBUTES)
+        return new in vocabulary.BUILTIN_ATTRIBUTES
+    return key[0] == "attribute" and (new in vocabulary.ITEM_ATTRIBUTES or new in vocabulary.HIT_ATTRIBUTES)
 
 
 def _jointly_bound_keys(workspace: Workspace, document: Document, keys: set[Key]) -> set[Key]:

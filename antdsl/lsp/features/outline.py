@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
+from antdsl.lsp.language import MEMBER_WORDS
 from antdsl.lsp.workspace import Document
 from antdsl.program.names.declared import declaration
 from antdsl.scene.document import MappingNode, Node, ScalarNode, SequenceNode
@@ -58,7 +59,7 @@ def _member_symbols(members: Any) -> Iterator[Symbol]:
         declared = declaration(member)
         if declared is not None:
             kind = {nodes.ParamDecl: "param", nodes.Declaration: "attribute"}.get(type(member), "value")
-            word = {nodes.ParamDecl: "param", nodes.Let: "let", nodes.Latch: "latch", nodes.Fuzzy: "fuzzy"}.get(type(member), "")
+            word = MEMBER_WORDS.get(type(member), "")
             yield Symbol(declared.name.text, kind, member.span, declared.name.span, word)
         elif isinstance(member, nodes.State):
             yield Symbol(member.name.text, "state", member.span, member.name.span, member.label.text if member.label else "")
@@ -86,14 +87,8 @@ def _key_symbols(node: Node) -> Iterator[Symbol]:
             if isinstance(item, MappingNode):
                 name = next((item.entries[k] for k in ("species",) if k in item.entries), None)
                 text = name.text if isinstance(name, ScalarNode) else "…"
-                yield Symbol(
-                    text,
-                    "key",
-                    item.span,
-                    Span(item.span.source, item.span.start, item.span.start + 1),
-                    "",
-                    list(_key_symbols(item)),
-                )
+                first = Span(item.span.source, item.span.start, item.span.start + 1)
+                yield Symbol(text, "key", item.span, first, "", list(_key_symbols(item)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,23 +7,15 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 from antdsl.lsp.features.context import Context
-from antdsl.lsp.language import builtin_form, signature
+from antdsl.lsp.language import MEMBER_WORDS, builtin_form, help_text, signature
 from antdsl.lsp.names import Names
-from antdsl.lsp.words import WORD_HELP
+from antdsl.lsp.words import VALUES
 from antdsl.lsp.workspace import Document, Workspace
 from antdsl.program.kinds import Kind, Type
 from antdsl.program.names.declared import declaration
 from antdsl.program.names.scope import type_from_words
+from antdsl.program.tables import vocabulary
 from antdsl.program.tables.effects import EFFECTS
-from antdsl.program.tables.vocabulary import (
-    BUILTIN_ATTRIBUTES,
-    BUILTINS,
-    HIT_ATTRIBUTES,
-    ITEM_ATTRIBUTES,
-    REDUCERS,
-    RUN_NAMES,
-    SENSED_NAMES,
-)
 from antdsl.program.types.states import STATE_WORDS
 from antdsl.syntax import nodes
 from antdsl.syntax.verbs import VERBS
@@ -67,14 +59,14 @@ def make_thing_rule(*kinds: str) -> Callable[[Request], Iterator[Item]]:
     def give(request: Request) -> Iterator[Item]:
         for name, item in request.names.things.items():
             if not kinds or item.kind.text in kinds:
-                yield Item(name, "thing", item.kind.text, item.help.text if item.help is not None else "")
+                yield Item(name, "thing", item.kind.text, help_text(item))
 
     return give
 
 
 def fields(request: Request) -> Iterator[Item]:
     for name, node in request.names.fields.items():
-        yield Item(name, "thing", "field", node.help.text if node.help is not None else "")
+        yield Item(name, "thing", "field", help_text(node))
 
 
 def species(request: Request) -> Iterator[Item]:
@@ -144,19 +136,19 @@ def members(request: Request) -> Iterator[Item]:
     if owner.kind in (Kind.ITEM, Kind.ITEMS):
         thing = request.names.things.get(owner_name)
         for attribute in thing.attributes if thing is not None else ():
-            yield Item(attribute.name.text, "property", f"value of {owner_name}", attribute.help.text if attribute.help else "")
-        for member_name, type in ITEM_ATTRIBUTES.items():
+            yield Item(attribute.name.text, "property", f"value of {owner_name}", help_text(attribute))
+        for member_name, type in vocabulary.ITEM_ATTRIBUTES.items():
             yield Item(member_name, "property", type)
     elif owner.kind is Kind.HIT:
-        for member_name, type in HIT_ATTRIBUTES.items():
+        for member_name, type in vocabulary.HIT_ATTRIBUTES.items():
             yield Item(member_name, "property", type)
     elif owner.kind in (Kind.AGENT, Kind.SPECIES):
         other = request.names.species.get(owner_name)
         for own, member in (other.own if other is not None else {}).items():
             node = declaration(member)
-            yield Item(own, "property", f"of {owner_name}", node.help.text if node is not None and node.help is not None else "")
+            yield Item(own, "property", f"of {owner_name}", help_text(node))
         if owner.kind is Kind.AGENT:
-            for member_name, row in BUILTIN_ATTRIBUTES.items():
+            for member_name, row in vocabulary.BUILTIN_ATTRIBUTES.items():
                 yield Item(member_name, "property", row.type, row.help)
 
 
@@ -173,7 +165,7 @@ def argument_names(request: Request) -> Iterator[Item]:
                 default = f" = {argument.default.span.text}" if argument.default is not None else ""
                 yield _argument_item(argument.name.text, argument.type.span.text + default)
         return
-    for row in BUILTINS.get(called, ()):
+    for row in vocabulary.BUILTINS.get(called, ()):
         for arg in row.args:
             if arg.name not in passed_names:
                 yield _argument_item(arg.name, arg.type + (f" = {arg.default}" if arg.default is not None else ""))
@@ -223,7 +215,7 @@ def _call_item(node: nodes.Behaviour) -> Item:
     placeholders = ", ".join(f"${{{number}:{argument.name.text}}}" for number, argument in enumerate(required, 1))
     optional = "$0" if not required and node.arguments else ""
     insert = f"{node.name.text}({placeholders or optional})" + ("" if optional else "$0")
-    return Item(node.name.text, "function", signature(node), node.help.text if node.help is not None else "", insert, True)
+    return Item(node.name.text, "function", signature(node), help_text(node), insert, True)
 
 
 def own_names(request: Request, assignable: bool = False) -> Iterator[Item]:
@@ -232,11 +224,14 @@ def own_names(request: Request, assignable: bool = False) -> Iterator[Item]:
         if assignable and not isinstance(member, nodes.Declaration):
             continue
         node = declaration(member)
-        kind = {nodes.ParamDecl: "param", nodes.Let: "let", nodes.Latch: "latch", nodes.Fuzzy: "fuzzy"}.get(
-            type(member), "attribute"
-        )
+        kind = MEMBER_WORDS.get(type(member), "attribute")
         value = f" = {' '.join(node.value.span.text.split())}" if isinstance(node, nodes.Declaration) else ""
-        yield Item(name, "variable", f"{kind}{value}", node.help.text if node.help is not None else "")
+        yield Item(name, "variable", f"{kind}{value}", help_text(node))
+
+
+_INSIDE_EXPRESSIONS = (
+    "and", "or", "not", "no", "if", "then", "else", "is none", "none of", "held", "take", "after", "chance", "when", "self",
+)  # fmt: skip
 
 
 def values(request: Request) -> Iterator[Item]:
@@ -245,42 +240,24 @@ def values(request: Request) -> Iterator[Item]:
         yield Item(name, "variable", what)
     if request.context.enclosing_name("top", "behaviour") is None:
         yield from own_names(request)
-        for word in (
-            *STATE_WORDS,
-            *(request.names.species[request.species].machines if request.species in request.names.species else ()),
-        ):
+        table = request.names.species.get(request.species or "")
+        for word in (*STATE_WORDS, *(table.machines if table is not None else ())):
             if word != "main":
                 yield Item(word, "variable", "of its states")
     yield from behaviours(request)
     yield from make_thing_rule()(request)
     yield from fields(request)
     yield from species(request)
-    for name, row in BUILTIN_ATTRIBUTES.items():
+    for name, row in vocabulary.BUILTIN_ATTRIBUTES.items():
         yield Item(name, "variable", row.type, row.help)
-    for name, type in (*RUN_NAMES.items(), *SENSED_NAMES.items()):
-        yield Item(name, "variable", type, WORD_HELP.get(name, ""))
-    for name, rows in BUILTINS.items():
+    for name, type in (*vocabulary.RUN_NAMES.items(), *vocabulary.SENSED_NAMES.items()):
+        yield Item(name, "variable", type, VALUES[name].help if name in VALUES else "")
+    for name, rows in vocabulary.BUILTINS.items():
         cursor = "$0" if rows[0].args else ""
         yield Item(name, "function", builtin_form(name, rows[0]), rows[0].help, f"{name}({cursor})", True)
-    for name, help in REDUCERS.items():
+    for name, help in vocabulary.REDUCERS.items():
         yield Item(name, "function", f"{name}(n in SET: …)", help, f"{name}(${{1:n}} in ${{2:neighbours(20 mm)}}: $0)", True)
-    for word in (
-        "and",
-        "or",
-        "not",
-        "no",
-        "if",
-        "then",
-        "else",
-        "is none",
-        "none of",
-        "held",
-        "take",
-        "after",
-        "chance",
-        "when",
-        "self",
-    ):
+    for word in _INSIDE_EXPRESSIONS:
         yield Item(word, "keyword")
     if request.context.enclosing_name("top", "spec") is not None:
         for word in ("total", "share", "at_start", "motion"):

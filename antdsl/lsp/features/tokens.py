@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from functools import lru_cache
 
-from antdsl.lsp.text import Text
 from antdsl.lsp.workspace import Document
 from antdsl.resources import grammar_file
 from antdsl.syntax.words import NUMBER, UNITS
@@ -62,15 +61,3 @@ def tokens(document: Document, first: int = 0, last: int | None = None) -> list[
         data += [at - line, where - column if at == line else where, text.units(piece.group()), TYPES.index(kind), modifiers]
         line, column = at, where
     return data
-
-
-def list_tokens(data: list[int], text: Text) -> list[tuple[str, str]]:
-    """Tokens with their text, for people and tests."""
-    line = column = 0
-    pairs = []
-    for number in range(0, len(data), 5):
-        down, along, length, kind, _ = data[number : number + 5]
-        line, column = line + down, along if down else column + along
-        start = text.offset(line, column)
-        pairs.append((text.text[start : text.offset(line, column + length)], TYPES[kind]))
-    return pairs

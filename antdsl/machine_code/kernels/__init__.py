@@ -2,8 +2,8 @@
 
 `@kernel` marks a function that is called with arrays, `@inlined` and `@called` functions that kernels call, for any types. The
 function is parsed (`ast`) and translated to typed instructions (`statements`, `expressions`, `side_by_side`), once for the types
-of its annotations. The instructions are its definition: `ir` verifies them, `interpret` runs them one turn after another, and
-`rendering` writes them in LLVM's language. The table of all operations is in `operations`.
+of its annotations. The instructions are its definition: `ir` verifies them, and `rendering` writes them in LLVM's language. The
+interpreter of the tests runs them one turn after another. The table of all operations is in `operations`.
 
 The subset has i64, u64, float64, float32 and bool; tuples; records; arrays of one to three axes, read and written by index. It
 has `for` over `range`, `independent`, arrays and tuples; `while`, `if`, `break`, `continue`, `return`; the functions of

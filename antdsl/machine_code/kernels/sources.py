@@ -60,7 +60,7 @@ def _repr(type: Any) -> str:
 def _writers() -> str:
     """What reads and writes the texts of kernels."""
     folder = Path(machine_code.__file__).parent
-    return "".join(_digest(str(each)) for each in sorted(folder.rglob("*.py")))
+    return "".join(_digest(str(each)) for each in sorted([*folder.rglob("*.py"), *folder.rglob("*.ll")]))
 
 
 def _digest(path: str) -> str:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl.bodies.agents.definition import BodyError, Definition
 from antdsl.bodies.agents.packed import PARTS, digest, pack_definition, unpack_definition
-from antdsl.bodies.files.definition_checks import check_definition
-from antdsl.bodies.files.definition_document import Parts
+from antdsl.bodies.files.definition_checks import Parts, check_definition
 from antdsl.diagnostics import Report
 from antdsl.outputs.cache.manifest import BodyEntry, Manifest
 

@@ -147,7 +147,7 @@ def _read_problem(read: Callable[[], object]) -> str | None:
 def _static_names(manifest: Manifest, arrays: Arrays) -> Iterator[str]:
     """Yield the names of the arrays that the manifest's entries need, and that must match each other."""
     for mesh in manifest.meshes:
-        if mesh.kind != "solid":
+        if not mesh.row.is_dug:
             yield from (f"mesh.{mesh.name}.vertices", f"mesh.{mesh.name}.faces")
     if isinstance(manifest.camera, CameraEntry) and manifest.camera.moves:
         yield from (f"camera.{name}" for name in ("at", "look_at", "up", "focal"))

@@ -43,7 +43,7 @@ class DugSolids:
 
     def __init__(self, cache: Cache, static: Mapping[str, NDArray[Any]], cut: Cut | None = None) -> None:
         self.cache, self._static, self._cut = cache, static, cut
-        self._kept = {m.name: _DugSolid(start_volume(m.name, static)) for m in cache.manifest.meshes if m.kind == "solid"}
+        self._kept = {m.name: _DugSolid(start_volume(m.name, static)) for m in cache.manifest.meshes if m.row.is_dug}
         self._at: int | None = None
         self._scale = 1.0 / {"mm": 1.0, "cm": 10.0, "m": 1000.0}[cache.manifest.units]
 

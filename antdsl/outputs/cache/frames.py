@@ -181,7 +181,7 @@ def make_manifest(
 ) -> Manifest:
     """Return the manifest of a run that begins with this world. `looks`: the looks that the scene gives, by name; for items with
     different looks, by the name of each."""
-    scale = 1.0 / setting.unit_mm
+    scale, kinds = 1.0 / setting.unit_mm, {name: kind for kind, names in world.plan.things.items() for name in names}
     return Manifest(
         antdsl=version,
         state_hash=STATE_HASH,
@@ -204,10 +204,8 @@ def make_manifest(
             for name in sorted(world.populations)
         ),
         bodies=definitions,
-        meshes=(
-            *(_mesh_entry(setting, name, "surface", looks) for name in setting.surfaces),
-            *(_mesh_entry(setting, name, "obstacle", looks) for name in setting.obstacles),
-            *(_mesh_entry(setting, name, "solid", looks) for name in setting.solids),
+        meshes=tuple(
+            _mesh_entry(setting, name, kinds[name], looks) for name in (*setting.surfaces, *setting.obstacles, *setting.solids)
         ),
         fields=tuple(FieldEntry(name=name, cell=float(field.cells.cell) * scale) for name, field in world.fields.items()),
         items=tuple(
@@ -232,9 +230,7 @@ def _scale_point(place: NDArray[np.float64], scale: float) -> tuple[float, float
     return x, y, z
 
 
-def _mesh_entry(
-    setting: Setting, name: str, kind: Literal["surface", "obstacle", "solid"], looks: Mapping[str, Look | Mapping[str, Look]]
-) -> MeshEntry:
+def _mesh_entry(setting: Setting, name: str, kind: str, looks: Mapping[str, Look | Mapping[str, Look]]) -> MeshEntry:
     off, look = setting.deviations.get(name), looks.get(name)
     deviation = None if off is None else off / setting.unit_mm
     moves = name in setting.moves.meshes

@@ -12,6 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from antdsl import limits
 from antdsl.bounded import TooLarge, read_bounded
+from antdsl.program.tables.things import KINDS_OF_THINGS, WITH_FACES, KindOfThing
 from antdsl.whole import write_atomically
 
 FORMAT = 1
@@ -22,6 +23,7 @@ Word = Annotated[str, Field(max_length=500)]
 ScenePath = Annotated[str, Field(max_length=500, pattern=r"^([^:/\\\x00-\x1f]+/)*[^:/\\\x00-\x1f]+\.ya?ml$")]
 Triple = tuple[float, float, float]
 Look = Literal["metal", "soil", "leaf", "light", "none"]
+MeshKind = Annotated[Word, Field(pattern=f"^({'|'.join(WITH_FACES)})$")]
 
 
 class Part(BaseModel):
@@ -120,11 +122,16 @@ class MeshEntry(Part):
     samples."""
 
     name: Word
-    kind: Literal["surface", "obstacle", "solid"]
+    kind: MeshKind
     moves: bool = False
     look: Look | None = None
     deviation: float | None = None
     imported: ImportEntry | None = None
+
+    @property
+    def row(self) -> KindOfThing:
+        """Return what the program knows about its kind."""
+        return KINDS_OF_THINGS[self.kind]
 
 
 class FieldEntry(Part):

@@ -53,9 +53,8 @@ def camera_holding(points: Array, up: Array, *, aspect: float = 16 / 9, focal: f
     near, far = 0.5 * reach, 12.0 * reach
     for _ in range(40):
         distance = (near + far) / 2
-        near, far = (
-            (near, distance) if _holds(middle + direction * distance, middle, points, up, focal, aspect) else (distance, far)
-        )
+        fits = _holds(middle + direction * distance, middle, points, up, focal, aspect)
+        near, far = (near, distance) if fits else (distance, far)
     at, aim = _centre_camera(middle + direction * far, middle, points, up, focal, aspect)
     return Camera(three(at), three(aim), focal=focal, up=three(up))
 

@@ -33,12 +33,8 @@ def check_film_support() -> Report:
 
         imageio_ffmpeg.get_ffmpeg_exe()
     except (ImportError, RuntimeError, OSError):
-        report.error(
-            "missing-extra",
-            "a film needs the extra `[video]`, which is not installed",
-            None,
-            help='run `pip install "antdsl[video]"`, or render stills with `--sheet`',
-        )
+        message = "a film needs the extra `[video]`, which is not installed"
+        report.error("missing-extra", message, None, help='run `pip install "antdsl[video]"`, or render stills with `--sheet`')
     return report
 
 
@@ -73,9 +69,8 @@ def write_film(images: Iterable[Image], path: Path, fps: float) -> Report:
             _demand_frames(part, count)
     except OSError as problem:
         why = (problem.strerror or "the encoder stopped").lower()
-        report.error(
-            "cannot-write", f"cannot write the film `{path.name}`: {why}", None, "name a folder that is there, with room"
-        )
+        message = f"cannot write the film `{path.name}`: {why}"
+        report.error("cannot-write", message, None, "name a folder that is there, with room")
     return report
 
 
@@ -88,9 +83,8 @@ def _demand_frames(path: Path, count: int) -> None:
     except RuntimeError:
         frame_count = 0
     if frame_count < count or not _is_complete(path):
-        raise OSError(
-            errno.EIO, f"{min(frame_count, count - 1)} of {count} frames reached the disk, which may be full", str(path)
-        )
+        words = f"{min(frame_count, count - 1)} of {count} frames reached the disk, which may be full"
+        raise OSError(errno.EIO, words, str(path))
 
 
 def _is_complete(path: Path) -> bool:

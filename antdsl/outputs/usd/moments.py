@@ -63,11 +63,8 @@ class TimeSample:
     def agents(self, number: int) -> Agents:
         """Return the agents of a species at this time."""
         here = self.species[number]
-        return (
-            here
-            if not self.share
-            else _interpolate(here, self.next_agents[number] if self.next_agents else None, self.share, self.dt)
-        )
+        next_agents = self.next_agents[number] if self.next_agents else None
+        return _interpolate(here, next_agents, self.share, self.dt) if self.share else here
 
 
 @dataclass(slots=True)

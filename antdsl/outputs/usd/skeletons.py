@@ -128,11 +128,9 @@ def _joints(time_sample: TimeSample, number: int, part: int, body: PosedBody) ->
     agents = time_sample.species[number]
     crowd, rows = agents.parts[part]
     joints = _Joints(crowd.poses(local=True))
-    others, share = (
-        (time_sample.next_agents, time_sample.share)
-        if time_sample.next_agents
-        else (time_sample.previous_agents, -time_sample.share)
-    )
+    others, share = time_sample.next_agents, time_sample.share
+    if not others:
+        others, share = time_sample.previous_agents, -share
     if not share or others is None:
         return joints
     for other, other_rows in others[number].parts:

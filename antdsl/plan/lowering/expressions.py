@@ -260,9 +260,8 @@ def _attribute(w: Writer, e: model.Attribute) -> Value:
         return w.rules.pair_value(w, pair_attribute, e.of)
     owner = None if e.of is None else lower(w, e.of)
     if e.name == "moved" and "moved" not in w.registers and getattr(owner, "what", None) is not model.Kind.ITEM:
-        raise UnsupportedConstruct(
-            "`moved`, which the program does not use elsewhere,", e.span, "add `let pushed = moved` to a species"
-        )
+        words = "`moved`, which the program does not use elsewhere,"
+        raise UnsupportedConstruct(words, e.span, "add `let pushed = moved` to a species")
     if owner is None or isinstance(owner, OwnPlace):
         return own_attribute(w, e.name, e.type)
     if isinstance(owner, Hit):

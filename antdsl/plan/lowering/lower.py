@@ -66,7 +66,7 @@ def lower(
         }
     world = program.world.values()
     items = {t.name: ir.ItemsPlan(t.name, {a.name: a.default.number for a in t.attributes}) for t in world if t.kind == "items"}
-    things = {k: tuple(t.name for t in world if t.kind == k) for k in KINDS_OF_THINGS if k not in ("items", "species")}
+    things = {k: tuple(t.name for t in world if t.kind == k) for k, row in KINDS_OF_THINGS.items() if not row.has_values}
     return ir.Plan(species, fields, items, params, things, tuple(builder.nodes)), report
 
 
@@ -200,10 +200,9 @@ def _field(builder: Builder, program: model.Program, f: model.Field, report: Rep
 
     for surface in f.surfaces:
         thing = program.world.get(surface)
-        if thing is not None and thing.kind not in ("surface", "solid"):
-            report.error(
-                "not-yet", f"a field on the {thing.kind} `{surface}` is not supported yet", f.span, "name surfaces or solids"
-            )
+        if thing is not None and not KINDS_OF_THINGS[thing.kind].is_ground:
+            message = f"a field on the {thing.kind} `{surface}` is not supported yet"
+            report.error("not-yet", message, f.span, "name surfaces or solids")
     cell = node(f.cell)
     assert cell is not None
     keep, diffuse, limit = _keep(builder, f, node), node(f.diffuse), node(f.limit)

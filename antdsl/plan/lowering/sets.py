@@ -85,9 +85,8 @@ def scalar_of_agent(w: Writer, e: model.Expr | None, set_expr: model.SetOf) -> N
         raise PlanError(f"a set without its size: {set_expr.span.text!r}")
     node = scalar(w, e)
     if node.rate > Rate.AGENT:
-        raise UnsupportedConstruct(
-            "a set with a size that depends on an element of another set", e.span, "use a size that depends only on the agent"
-        )
+        words = "a set with a size that depends on an element of another set"
+        raise UnsupportedConstruct(words, e.span, "use a size that depends only on the agent")
     return node
 
 
@@ -185,11 +184,9 @@ def lower_feelers(w: Writer, e: model.SetOf) -> tuple[Hit, ...]:
     for k in range(n):
         share = 0.0 if n == 1 else 2 * k / (n - 1) - 1
         angle = b("mul", spread, b.number(share))
-        ahead = (
-            heading
-            if share == 0
-            else values.add(b, values.scale(b, heading, b("cos", angle)), values.scale(b, across, b("sin", angle)))
-        )
+        ahead = heading
+        if share != 0:
+            ahead = values.add(b, values.scale(b, heading, b("cos", angle)), values.scale(b, across, b("sin", angle)))
         hits.append(cast_ray(w, ahead, reach, e.of))
     return tuple(hits)
 

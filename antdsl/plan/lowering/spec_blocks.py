@@ -25,7 +25,6 @@ from antdsl.source import Span
 
 _TRUTHS = ("share", "count", "any", "every")
 _OF_ITEMS = "items have a position, a radius and their own values"
-_KINDS = {model.Kind.SPECIES: "species", model.Kind.ITEMS: "items", model.Kind.FIELD: "field", model.Kind.SOLID: "solid"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -174,9 +173,8 @@ class _SpecLowering:
     def agent_writer(self, species: str, span: Span | None = None) -> _Writer:
         if species not in self.lowered.species:
             assert span is not None
-            raise UnsupportedConstruct(
-                f"a spec on `{species}`, which the scene does not contain,", span, f"add `{species}` to the scene's `crowd`"
-            )
+            words = f"a spec on `{species}`, which the scene does not contain,"
+            raise UnsupportedConstruct(words, span, f"add `{species}` to the scene's `crowd`")
         if species not in self.writers:
             self.writers[species] = _Writer(self, self.program.species[species], self.lowered.species[species].registers)
         return self.writers[species]
@@ -202,16 +200,11 @@ class _SpecLowering:
 
     def _lower_new_aggregate(self, e: expectations.Aggregate) -> Node:
         name, of = f"whole#{len(self.wholes) + 1}", e.over.of or ""
-        kind = _KINDS[e.over.kind]
+        kind = e.over.kind.value
         where = body = amount = None
         if kind in ("species", "items") or e.body is not None:
-            w = (
-                self.cell_writer(of)
-                if kind == "field"
-                else self.item_writer(of)
-                if kind == "items"
-                else self.agent_writer(of, e.span)
-            )
+            writers = {"field": self.cell_writer, "items": self.item_writer}
+            w = writers[kind](of) if kind in writers else self.agent_writer(of, e.span)
             for element in e.elements:
                 w.environment[element] = OwnPlace()
             if e.where is not None:
@@ -253,9 +246,8 @@ class _SpecLowering:
         """Return the node, if evaluating it changes nothing and items have all that it reads."""
         if w.statements:
             w.statements.clear()
-            raise UnsupportedConstruct(
-                "a value with memory in a spec", e.span, "use what it causes: an attribute, a state, a speed"
-            )
+            words = "a value with memory in a spec"
+            raise UnsupportedConstruct(words, e.span, "use what it causes: an attribute, a state, a speed")
         name = w.species.name
         if name in (*self.lowered.items, *self.program.fields) and any(_is_agent_only(n) for n in required_nodes([node])):
             if name in self.lowered.items:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from antdsl.plan.builder import Builder
 from antdsl.plan.ir import Node
 from antdsl.program.model import Kind
+from antdsl.program.tables.things import KINDS_OF_THINGS, KindOfThing
 
 TINY = 1e-30  # shortest vector (mm, mm/s, …) that still has a direction: 1/x stays finite
 
@@ -55,6 +56,11 @@ class NamedThing:
 
     kind: Kind
     name: str
+
+    @property
+    def row(self) -> KindOfThing:
+        """Return the row of its kind."""
+        return KINDS_OF_THINGS[self.kind.value]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

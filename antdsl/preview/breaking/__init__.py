@@ -8,10 +8,8 @@ from typing import Any
 
 from antdsl.pipeline import Shot
 from antdsl.preview.breaking.conditions import ConditionWatcher
-from antdsl.preview.breaking.failing import SpecWatcher
-from antdsl.preview.breaking.faults import FaultWatcher
 from antdsl.preview.breaking.model import BreakpointError, BreakpointWatcher
-from antdsl.preview.breaking.states import StateWatcher
+from antdsl.preview.breaking.watchers import FaultWatcher, SpecWatcher, StateWatcher
 from antdsl.preview.observing.observer import Stop
 from antdsl.preview.observing.spec_judgement import Specs
 from antdsl.preview.requests import Break, ConditionBreak, FaultBreak, SpecBreak, StateBreak

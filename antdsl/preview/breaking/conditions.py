@@ -11,7 +11,7 @@ from antdsl.diagnostics import Report
 from antdsl.pipeline import Shot
 from antdsl.plan.lowering.spec_blocks import SpecPlan, lower_spec
 from antdsl.preview.breaking.model import BreakpointError
-from antdsl.preview.breaking.states import MOST, agents_text
+from antdsl.preview.breaking.watchers import MOST, agents_text
 from antdsl.preview.observing.observer import Stop
 from antdsl.preview.requests import ConditionBreak
 from antdsl.preview.session import Session

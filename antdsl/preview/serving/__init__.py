@@ -13,10 +13,6 @@ def ready() -> Report:
     """Empty where a preview can be served; else one error that names the extra."""
     report = Report()
     if find_spec("websockets") is None:
-        report.error(
-            "missing-extra",
-            "the preview needs the extra `[preview]`, which is not installed",
-            None,
-            'run `pip install "antdsl[preview]"`',
-        )
+        message = "the preview needs the extra `[preview]`, which is not installed"
+        report.error("missing-extra", message, None, 'run `pip install "antdsl[preview]"`')
     return report

@@ -146,9 +146,8 @@ def feeler_arrays(world: World, program: Program, species: str, agent: int) -> d
     unit = (displacement / np.maximum(reach, 1e-12)[:, None]).astype(np.float32)
     start = lines[:, 0].astype(np.float32)
     nearest = np.full(len(lines), np.inf, np.float32)
-    (x, y, z), (dx, dy, dz) = start.T, unit.T
-    for name in world.plan.of_kind("obstacle", "solid"):
-        hits = world.obstacles[name].cast_feelers(x, y, z, dx, dy, dz, reach.astype(np.float32))
+    for name in (*world.plan.obstacles, *world.solids):
+        hits = world.obstacles[name].cast_feelers(start.T, unit.T, reach.astype(np.float32))
         nearest = np.minimum(nearest, np.where(hits.hit, hits.t, np.inf))
     hit = np.isfinite(nearest)
     lines[hit, 1] = start[hit] + unit[hit] * nearest[hit, None]

@@ -14,8 +14,9 @@ from antdsl.preview.viewing.names import FileNames, open_text
 from antdsl.preview.viewing.units import base_units, colour_attributes, constant_in_base_units, unit_for
 from antdsl.program.model import ItemAttribute, Param
 from antdsl.runtime import Population
-from antdsl.scene.model import Camera, millimetres
+from antdsl.scene.model import Camera
 from antdsl.scene.quantities import parse_quantity
+from antdsl.scene.thing_models import millimetres
 
 if TYPE_CHECKING:
     from antdsl.preview.live import Live

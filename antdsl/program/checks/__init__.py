@@ -1,4 +1,4 @@
-"""Checks that look at a whole program once its types are known. A new check is one file and one entry here."""
+"""Checks that look at a whole program once its types are known. A new check is one function and one entry here."""
 
 from __future__ import annotations
 
@@ -7,18 +7,12 @@ from collections.abc import Callable
 from antdsl.diagnostics import Report
 from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.checks.draws import check_draws
-from antdsl.program.checks.empty import check_empty
-from antdsl.program.checks.events import check_events
-from antdsl.program.checks.firing import check_firing
 from antdsl.program.checks.flicker import check_flicker
-from antdsl.program.checks.idle_layers import check_idle_layers
-from antdsl.program.checks.layering import check_layering
-from antdsl.program.checks.one_way import check_unused_memory
+from antdsl.program.checks.layers import check_idle_layers, check_layering
 from antdsl.program.checks.per_frame import check_per_frame
-from antdsl.program.checks.reachability import check_reachability
-from antdsl.program.checks.shadowed import check_shadowed
 from antdsl.program.checks.steps import check_step_units
-from antdsl.program.checks.unused import check_unused
+from antdsl.program.checks.transitions import check_firing, check_reachability, check_shadowed
+from antdsl.program.checks.usage import check_empty, check_events, check_unused, check_unused_memory
 from antdsl.program.checks.wide_radius import check_wide_radius
 from antdsl.program.checks.writers import check_writers
 

@@ -172,11 +172,9 @@ def _mix_text(op: Op, own: Own) -> str:
         return ""
     if is_own(a, own) and not reads(z, own):
         return f"mix({_source_text(a.span)}, {_source_text(z.span)}, 1 - {_exp(math.log1p(-known.number))})"
-    return (
-        f"mix({_source_text(a.span)}, {_source_text(z.span)}, {_exp(math.log(known.number))})"
-        if is_own(z, own) and not reads(a, own)
-        else ""
-    )
+    if not is_own(z, own) or reads(a, own):
+        return ""
+    return f"mix({_source_text(a.span)}, {_source_text(z.span)}, {_exp(math.log(known.number))})"
 
 
 def _share(factor: Expr, power: int) -> str:

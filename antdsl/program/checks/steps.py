@@ -27,9 +27,8 @@ def check_step_units(checked: CheckContext, report: Report) -> None:
                 around[id(part.value)] = part
             elif isinstance(part, nodes.Quantity) and (known := measure(part.unit)) is not None and known.step:
                 fix, help = _replacement(part, known.step, around.get(id(part)))
-                report.warning(
-                    "per-step", f"{quote_source(part.span)} depends on the frames per second", part.span, help, fix=fix
-                )
+                message = f"{quote_source(part.span)} depends on the frames per second"
+                report.warning("per-step", message, part.span, help, fix=fix)
 
 
 def _all_files(files: Sequence[FileNames]) -> Iterator[FileNames]:

@@ -36,12 +36,9 @@ def check_wide_radius(checked: CheckContext, report: Report) -> None:
                 continue
             own = [each.span for each in _named_values(written) if each.span.source.path == species.span.source.path]
             span = own[-1] if own else written.span
-            report.warning(
-                "wide-radius",
-                f"within {quote_source(span)} there are all agents: that is {radius.number / size:,.0f} body lengths",
-                span,
-                f"write some body lengths, such as `3 * size`; of all within it the {limits.NEIGHBOURS} nearest count",
-            )
+            message = f"within {quote_source(span)} there are all agents: that is {radius.number / size:,.0f} body lengths"
+            advice = f"write some body lengths, such as `3 * size`; of all within it the {limits.NEIGHBOURS} nearest count"
+            report.warning("wide-radius", message, span, advice)
 
 
 def _is_radius_search(part: SetOf, only_the_nearest: bool) -> bool:

@@ -20,13 +20,9 @@ def check_writers(checked: CheckContext, report: Report) -> None:
                     first[name] = (machine, span, sets or (known is not None and known[2]))
                     continue
                 if sets or known[2]:
-                    report.error(
-                        "two-writers",
-                        f"machines `{known[0].name}` and `{machine.name}` both write `{name}`, in the same step",
-                        span,
-                        f"let one machine write it, or only add to it in both: `{name} += …`",
-                        labels=(Label(known[1], "the other one"),),
-                    )  # fmt: skip
+                    message = f"machines `{known[0].name}` and `{machine.name}` both write `{name}`, in the same step"
+                    advice = f"let one machine write it, or only add to it in both: `{name} += …`"
+                    report.error("two-writers", message, span, advice, labels=(Label(known[1], "the other one"),))
                     break
 
 

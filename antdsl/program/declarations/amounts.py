@@ -45,16 +45,14 @@ def amount_or_rate(
     text = " ".join(node.span.text.split())
     if block.body and is_compatible(expr.type, type):
         better = _rate_text(node, text)
-        scope.report.error(
-            "not-a-rate", f"{quote_source(node.span)} is an amount, and this line runs in every step", node.span,
-            f"say per what time: `{prefix}{better}{suffix}`", fix=Fix(node.span, better),
-        )  # fmt: skip
+        message = f"{quote_source(node.span)} is an amount, and this line runs in every step"
+        advice = f"say per what time: `{prefix}{better}{suffix}`"
+        scope.report.error("not-a-rate", message, node.span, advice, fix=Fix(node.span, better))
     elif not block.body and is_compatible(expr.type, per_second):
         better = text[: -len("/s")].rstrip() if text.endswith("/s") else f"{_bracket(node, text)} * 1 s"
-        scope.report.error(
-            "not-an-amount", f"{quote_source(node.span)} is a rate, and this happens once", node.span,
-            f"say how much: `{prefix}{better}{suffix}`", fix=Fix(node.span, better),
-        )  # fmt: skip
+        message = f"{quote_source(node.span)} is a rate, and this happens once"
+        advice = f"say how much: `{prefix}{better}{suffix}`"
+        scope.report.error("not-an-amount", message, node.span, advice, fix=Fix(node.span, better))
     else:
         report_mismatch(scope.report, node, expr.type, want, f"`{prefix.strip()}`")
     return None

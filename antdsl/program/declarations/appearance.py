@@ -8,8 +8,8 @@ from dataclasses import replace
 from antdsl.diagnostics import Label
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block
-from antdsl.program.kinds import Dim, Kind, Type
-from antdsl.program.names.scope import NUMBER, TIME, Scope
+from antdsl.program.kinds import NUMBER, TIME, Dim, Kind, Type
+from antdsl.program.names.scope import Scope
 from antdsl.program.typed import Expr
 from antdsl.program.types.arguments import Slot, arrange_arguments, place, type_arguments
 from antdsl.program.types.folding import constant_behind
@@ -59,11 +59,8 @@ def look(scope: Scope, line: nodes.Ask, block: Block) -> model.Look | None:
         return None
     widest = None if within is None else constant_behind(within)
     if within is not None and widest is not None and not 0 < widest.number <= _WIDEST:
-        scope.report.error(
-            "out-of-range",
-            f"`{' '.join(within.span.text.split())}` is not an angle by which a body can turn its {line.name.text}",
-            within.span, "write an angle above `0 deg`, `180 deg` at most",
-        )  # fmt: skip
+        message = f"`{' '.join(within.span.text.split())}` is not an angle by which a body can turn its {line.name.text}"
+        scope.report.error("out-of-range", message, within.span, "write an angle above `0 deg`, `180 deg` at most")
         return None
     return model.Look(line.name.text, at, within, over, line.span)
 
@@ -78,20 +75,16 @@ def check_duplicates(scope: Scope, node: nodes.State) -> None:
         if first_line is not line:
             does = "sets channel" if line.verb == "channel" else "turns"
             words = f"`{node.name.text}` {does} `{line.name.text}` already, and only the second would count"
-            scope.report.error(
-                "two-writers", words, line.span,
-                "keep one of them; choose with `if … then … else …`", labels=(Label(first_line.span, "first here"),),
-            )  # fmt: skip
+            advice = "keep one of them; choose with `if … then … else …`"
+            scope.report.error("two-writers", words, line.span, advice, labels=(Label(first_line.span, "first here"),))
 
 
 def _is_misplaced(scope: Scope, line: nodes.Ask, block: Block) -> bool:
     """Whether a line stands in an action, after a complaint."""
     if not block.body:
         form = f"{line.verb} {line.name.text if line.name is not None else ''}"
-        scope.report.error(
-            "misplaced", f"`{form}` is in an action, but it is shown as long as a state lasts", line.span,
-            f"write `{' '.join(line.span.text.split())}` as a line of the state itself",
-        )  # fmt: skip
+        advice = f"write `{' '.join(line.span.text.split())}` as a line of the state itself"
+        scope.report.error("misplaced", f"`{form}` is in an action, but it is shown as long as a state lasts", line.span, advice)
     return not block.body
 
 
@@ -104,20 +97,15 @@ def play(scope: Scope, line: nodes.Ask, block: Block) -> model.Play | None:
         type_arguments(scope, _without_names(line))
         return None
     if not block.body:
-        scope.report.error(
-            "misplaced", f"`play {clip}` is in an action, but a clip plays as long as a state lasts", line.span,
-            f"write `play {clip}` as a line of the state itself",
-        )  # fmt: skip
+        message = f"`play {clip}` is in an action, but a clip plays as long as a state lasts"
+        scope.report.error("misplaced", message, line.span, f"write `play {clip}` as a line of the state itself")
         return None
     argument_nodes = {name: arguments[0].value for name, arguments in arguments_by_slot.items()}
     said: dict[str, Expr] = {}
     for name in (each for each in (*_NUMBERS, *_CONDITIONS) if each in argument_nodes):
         who = f"`{name}` of `play`"
-        said[name] = (
-            value_of_type(scope, argument_nodes[name], NUMBER, who)
-            if name in _NUMBERS
-            else condition(scope, argument_nodes[name], who)
-        )
+        node = argument_nodes[name]
+        said[name] = value_of_type(scope, node, NUMBER, who) if name in _NUMBERS else condition(scope, node, who)
     names = {name: _name_argument(scope, clip, name, argument_nodes[name]) for name in _NAMES if name in argument_nodes}
     if any(each.type.kind is Kind.BAD for each in said.values()) or None in names.values():
         return None
@@ -142,11 +130,8 @@ def _name_argument(scope: Scope, clip: str, argument: str, node: nodes.Expr) -> 
     if isinstance(node, nodes.NameRef):
         return node.name.text
     what, sample = ("a transform group", "arms") if argument == "on" else ("a clip", f"{clip}_{argument}")
-    scope.report.error(
-        "wrong-argument",
-        f"`{argument}` of `play` names {what} of the body, but `{' '.join(node.span.text.split())}` is not a name",
-        node.span, f"write `play {clip}({argument}: {sample})`",
-    )  # fmt: skip
+    message = f"`{argument}` of `play` names {what} of the body, but `{' '.join(node.span.text.split())}` is not a name"
+    scope.report.error("wrong-argument", message, node.span, f"write `play {clip}({argument}: {sample})`")
     return None
 
 
@@ -173,7 +158,6 @@ def check_single_clip(scope: Scope, node: nodes.State) -> None:
     """Complain about a state that plays several clips."""
     lines = [line for line in node.body if isinstance(line, nodes.Ask) and line.verb == "play"]
     for line in lines[1:]:
-        scope.report.error(
-            "two-writers", f"`{node.name.text}` plays a clip already, and a state can play only one", line.span,
-            "play it in a separate machine, `machine arms { … }`", labels=(Label(lines[0].span, "first here"),),
-        )  # fmt: skip
+        message = f"`{node.name.text}` plays a clip already, and a state can play only one"
+        advice = "play it in a separate machine, `machine arms { … }`"
+        scope.report.error("two-writers", message, line.span, advice, labels=(Label(lines[0].span, "first here"),))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from antdsl.program import model
 from antdsl.program.declarations.amounts import Block, amount_or_rate
-from antdsl.program.kinds import Kind, Type
+from antdsl.program.kinds import BAD, Kind, Type
 from antdsl.program.names.collect import EVENTS
-from antdsl.program.names.scope import BAD, Scope, bad_expression, did_you_mean, is_known_missing, type_from_words
+from antdsl.program.names.scope import Scope, bad_expression, did_you_mean, is_known_missing, type_from_words
 from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.effects import EFFECTS, Effect
 from antdsl.program.tables.rows import Arg
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import replacements
 from antdsl.program.tables.units import default_unit, measure
 from antdsl.program.typed import Expr
 from antdsl.program.types.arguments import Slot, arrange_arguments, type_arguments
@@ -41,10 +41,8 @@ def ask(scope: Scope, line: nodes.Ask, block: Block) -> model.Ask | None:
     if not _is_declared(scope, row, line.name) or written is None or _reports_missing(scope, row, line, written, form):
         return None
     if row.too_often and block.body:
-        scope.report.error(
-            "not-a-rate", f"`{form}` here {row.too_often}", line.span,
-            f"do it once: `enter {{ {row.op} … }}`, or in a change: `when chance 10 %/s -> … {{ {row.op} … }}`",
-        )  # fmt: skip
+        advice = f"do it once: `enter {{ {row.op} … }}`, or in a change: `when chance 10 %/s -> … {{ {row.op} … }}`"
+        scope.report.error("not-a-rate", f"`{form}` here {row.too_often}", line.span, advice)
         return None
     for arg, arg_value in zip(row.numbers, args, strict=True):
         if arg_value is not None:
@@ -102,20 +100,13 @@ def _recipient(scope: Scope, row: Effect, line: nodes.Ask, node: nodes.Expr) -> 
         return expr
     text = " ".join(node.span.text.split())
     if expr.type.kind is Kind.SPECIES:
-        scope.report.error(
-            "wrong-kind", f"`{text}` is a whole species, but `{row.op} … to` needs one agent", node.span,
-            f"name one: `to nearest({text})`",
-        )  # fmt: skip
-        return bad_expression(node.span)
+        message = f"`{text}` is a whole species, but `{row.op} … to` needs one agent"
+        return scope.reject("wrong-kind", message, node.span, f"name one: `to nearest({text})`")
     if expr.type.kind is not Kind.AGENT:
-        report_mismatch(scope.report, node, expr.type, Type(Kind.AGENT), f"`{row.op} … to`")
-        return bad_expression(node.span)
+        return report_mismatch(scope.report, node, expr.type, Type(Kind.AGENT), f"`{row.op} … to`")
     if expr.type.of is None:
-        scope.report.error(
-            "wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span,
-            "name the species where you search for the agent, such as `nearest(neighbours(20 mm, of: rabbit))`",
-        )  # fmt: skip
-        return bad_expression(node.span)
+        advice = "name the species where you search for the agent, such as `nearest(neighbours(20 mm, of: rabbit))`"
+        return scope.reject("wrong-argument", f"it is not known of which species {quote_source(node.span)} is", node.span, advice)
     if line.name is not None:
         scope.mark_used("told", f"{line.name.text} {expr.type.of}")
     return expr
@@ -136,10 +127,9 @@ def _own_attribute(scope: Scope, row: Effect, arg: Arg, node: nodes.Expr) -> str
     if type is not None:
         report_mismatch(scope.report, node, type, want, who)
     else:
-        scope.report.error(
-            "unknown-name", f"{who} names an attribute of `{species.name}`, and {quote_source(node.span)} is none",
-            node.span, f"declare it: `{name or arg.sample} = 0 {default_unit(want.dim)}` in `species {species.name}`",
-        )  # fmt: skip
+        message = f"{who} names an attribute of `{species.name}`, and {quote_source(node.span)} is none"
+        advice = f"declare it: `{name or arg.sample} = 0 {default_unit(want.dim)}` in `species {species.name}`"
+        scope.report.error("unknown-name", message, node.span, advice)
     return None
 
 
@@ -162,10 +152,8 @@ def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
     match row.target:
         case "event":
             if text in EVENTS:
-                scope.report.error(
-                    "wrong-argument", f"`{text}` is a computed event, so no agent can `{row.op}` it", name.span,
-                    f"give the event another name, such as `{row.op} bump`",
-                )  # fmt: skip
+                words = f"`{text}` is a computed event, so no agent can `{row.op}` it"
+                scope.report.error("wrong-argument", words, name.span, f"give the event another name, such as `{row.op} bump`")
             return text not in EVENTS
         case "field":
             known, otherwise = list(declared.fields), f"field {text} on … {{ cell 4 mm; half_life 8 s }}"
@@ -174,8 +162,8 @@ def _is_declared(scope: Scope, row: Effect, name: nodes.Name | None) -> bool:
             known, otherwise = list(declared.species), ""
             kind, code, message = "species", "unknown-species", f"no species `{text}`"
         case word:
-            serves = KINDS_OF_THINGS[word].serves
-            known, otherwise = [t.name for t in declared.things.values() if t.kind in serves], f"world {{ {word} {text} }}"
+            kinds = replacements(word)
+            known, otherwise = [t.name for t in declared.things.values() if t.kind in kinds], f"world {{ {word} {text} }}"
             kind, code, message = "thing", "unknown-name", f"no {word} `{text}` to {row.op}"
     if text in known:
         scope.mark_used(kind, text)

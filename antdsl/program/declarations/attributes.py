@@ -7,10 +7,10 @@ from collections.abc import Mapping
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program import model
 from antdsl.program.declarations.behaviours import declared_type
+from antdsl.program.kinds import BAD
 from antdsl.program.model import Expr, Kind
 from antdsl.program.names.ordering import order_declarations
 from antdsl.program.names.scope import (
-    BAD,
     Scope,
     StableKeys,
     bad_expression,
@@ -132,23 +132,15 @@ def _attribute(scope: Scope, node: nodes.Declaration | nodes.AnimalProperty, cir
         default = value(inner, node.value) if stated is None else value_of_type(inner, node.value, stated, f"`{name}`")
     type = stated or default.type
     if type.kind not in _STORED:
-        scope.report.error(
-            "wrong-kind",
-            f"{type_words(type)} cannot be an attribute",
-            node.value.span,
-            "an attribute is a number, a vector, a yes or no, an item or an agent",
-        )
+        advice = "an attribute is a number, a vector, a yes or no, an item or an agent"
+        scope.report.error("wrong-kind", f"{type_words(type)} cannot be an attribute", node.value.span, advice)
         type = BAD
     names.attributes[name] = type
     if node.each is not None:
         names.each[name] = node.each.species.text
     if node.range is not None:
-        scope.report.error(
-            "wrong-kind",
-            f"only a param can have a range, but `{name}` is an attribute",
-            node.range.span,
-            f"write `param {name} = …`, or leave the range out",
-        )
+        message = f"only a param can have a range, but `{name}` is an attribute"
+        scope.report.error("wrong-kind", message, node.range.span, f"write `param {name} = …`, or leave the range out")
     return model.AttributeDecl(name, type, default, False, help, node.name.span)
 
 

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
+from antdsl.program.kinds import BAD
 from antdsl.program.model import Binding, Expr, InlinedBehaviour, Kind, Op, Rate, Type
 from antdsl.program.names.scope import (
-    BAD,
     BehaviourInfo,
     Declared,
     Scope,
@@ -95,23 +95,15 @@ def _add_up(report: Report, info: BehaviourInfo) -> None:
     info.draws = info.draws or any(called.draws for called in info.calls)
     info.state = "circular" if any(called.state == "circular" for called in info.calls) else "sized"
     if info.state == "sized" and info.depth > _DEEPEST + limits.EXPRESSION_DEPTH:
-        report.error(
-            "too-deep",
-            f"behaviour `{info.node.name.text}` calls others too many levels deep",
-            info.node.name.span,
-            "put some of them together",
-        )
+        message = f"behaviour `{info.node.name.text}` calls others too many levels deep"
+        report.error("too-deep", message, info.node.name.span, "put some of them together")
         info.state = "circular"
 
 
 def _report_circle(report: Report, circle: list[BehaviourInfo]) -> None:
     names = " → ".join(f"`{each.node.name.text}`" for each in [*circle, circle[0]])
-    report.error(
-        "circle",
-        f"behaviours call each other in a circle: {names}",
-        circle[0].node.name.span,
-        "a behaviour cannot call itself; remove one of the calls",
-    )
+    message = f"behaviours call each other in a circle: {names}"
+    report.error("circle", message, circle[0].node.name.span, "a behaviour cannot call itself; remove one of the calls")
     for each in circle:
         each.state = "circular"
 
@@ -160,12 +152,8 @@ def _check_parts(declared: Declared, info: BehaviourInfo, report: Report) -> Non
         return  # what is wrong may have been their use
     for argument in node.arguments:
         if ("local", f"{argument.name.span}:{argument.name.text}") not in declared.used:
-            report.warning(
-                "unused-argument",
-                f"`{name}` never uses its argument `{argument.name.text}`",
-                argument.name.span,
-                "use it, or delete it",
-            )
+            message = f"`{name}` never uses its argument `{argument.name.text}`"
+            report.warning("unused-argument", message, argument.name.span, "use it, or delete it")
     for binding in body:
         if ("local", f"{binding.span}:{binding.name}") not in declared.used:
             report.warning("unused-let", f"`{binding.name}` is never used", binding.span, "use it, or delete it")
@@ -221,12 +209,8 @@ def _keep(scope: Scope, line: nodes.Keep) -> Binding:
     first = value(scope, line.first) if expected_type is None else value_of_type(scope, line.first, expected_type, who)
     type = expected_type or first.type
     if type.kind not in _STORED:
-        scope.report.error(
-            "wrong-kind",
-            f"{type_words(type)} cannot be stored",
-            line.first.span,
-            "store a number, a vector, a yes or no, an item or an agent",
-        )
+        message = f"{type_words(type)} cannot be stored"
+        scope.report.error("wrong-kind", message, line.first.span, "store a number, a vector, a yes or no, an item or an agent")
     key = f"{scope.keys.path}.{line.name.text}"
     binding = Binding(line.name.text, "keep", type, Rate.AGENT, line.name.span, first, None, key)
     inner = scope.with_changes(locals={**scope.locals, line.name.text: binding})
@@ -287,26 +271,16 @@ def _called_behaviour(scope: Scope, function: nodes.Expr) -> BehaviourInfo | Non
     alias = function.owner.name.text if isinstance(function.owner, nodes.NameRef) else None
     module = scope.file.aliases.get(alias) if alias else None
     if module is None:
-        advice = (
-            f'bring it: `use "./{alias}.ant" as {alias}`'
-            if alias
-            else "only behaviours of a file in a `use` line are called this way"
-        )
-        scope.report.error(
-            "unknown-module",
-            f"no file is used as {quote_source(function.owner.span)}",
-            function.owner.span,
-            did_you_mean(alias or "", scope.file.aliases, advice),
-        )
+        advice = "only behaviours of a file in a `use` line are called this way"
+        if alias:
+            advice = f'bring it: `use "./{alias}.ant" as {alias}`'
+        message = f"no file is used as {quote_source(function.owner.span)}"
+        scope.report.error("unknown-module", message, function.owner.span, did_you_mean(alias or "", scope.file.aliases, advice))
         return None
     info = module.own.get(function.name.text)
     if info is None and not module.missing:
-        scope.report.error(
-            "unknown-behaviour",
-            f"no behaviour `{function.name.text}` in `{alias}`",
-            function.name.span,
-            did_you_mean(function.name.text, module.own),
-        )
+        message = f"no behaviour `{function.name.text}` in `{alias}`"
+        scope.report.error("unknown-behaviour", message, function.name.span, did_you_mean(function.name.text, module.own))
     return info
 
 
@@ -318,24 +292,16 @@ def _is_allowed(scope: Scope, info: BehaviourInfo, node: nodes.Call) -> bool:
         scope.report.error("keep-inside", f"`{name}` remembers something, and {scope.no_keep}", node.span, help)
         return False
     if info.draws and scope.sets:
-        scope.report.error(
-            "draw-in-set",
-            f"`{name}` draws random numbers, which is not possible inside a set",
-            node.span,
-            "call it outside of the set",
-        )
+        message = f"`{name}` draws random numbers, which is not possible inside a set"
+        scope.report.error("draw-in-set", message, node.span, "call it outside of the set")
         return False
     if scope.behaviour is not None:
         return True  # its size was counted with the behaviour that calls it
     previous_size, declared.expanded = declared.expanded, declared.expanded + info.size
     if declared.expanded > limits.NODES:
         if previous_size <= limits.NODES:
-            scope.report.error(
-                "too-large",
-                f"with `{name}` put in place this is more than {limits.NODES:,} operations",
-                node.span,
-                "call fewer or smaller behaviours",
-            )
+            message = f"with `{name}` put in place this is more than {limits.NODES:,} operations"
+            scope.report.error("too-large", message, node.span, "call fewer or smaller behaviours")
         return False
     return True
 
@@ -378,8 +344,9 @@ def _expand_call(scope: Scope, info: BehaviourInfo, node: nodes.Call, argument_n
     if not report.ok:
         first = report.errors[0]
         labels = (Label(first.span, "here"),) if first.span is not None else ()
-        scope.report.error(first.code, f"`{name}` cannot be used this way: {first.message}", node.span, first.help, labels=labels)
-        return bad_expression(node.span)
+        return scope.reject(
+            first.code, f"`{name}` cannot be used this way: {first.message}", node.span, first.help, labels=labels
+        )
     return InlinedBehaviour(
         result.type, max(result.rate, rate_of(b.value for b in body)), node.span, name, key, tuple(arguments), tuple(body), result
     )
@@ -393,8 +360,7 @@ def _argument_value(scope: Scope, called: str, argument: nodes.BehaviourArgument
         return value(scope, node)
     if type.kind in THINGS:
         expr = scope.type_expression(node, type)
-        if is_compatible(expr.type, type) or (type.kind is Kind.OBSTACLE and expr.type.kind in (Kind.SURFACE, Kind.SOLID)):
+        if is_compatible(expr.type, type):
             return expr
-        report_mismatch(scope.report, node, expr.type, type, who)
-        return bad_expression(node.span)
+        return report_mismatch(scope.report, node, expr.type, type, who)
     return value_of_type(scope, node, type, who)

@@ -11,19 +11,10 @@ from antdsl.program import model
 from antdsl.program.declarations.amounts import ACTION, BODY
 from antdsl.program.declarations.appearance import check_duplicates, check_single_clip
 from antdsl.program.declarations.statements import check_statements, take
+from antdsl.program.kinds import NUMBER, TIME
 from antdsl.program.memo import cached_part
 from antdsl.program.model import Binding, Expr
-from antdsl.program.names.scope import (
-    NUMBER,
-    TIME,
-    MachineNames,
-    Scope,
-    StableKeys,
-    bad_expression,
-    did_you_mean,
-    list_names,
-    report_duplicate,
-)
+from antdsl.program.names.scope import MachineNames, Scope, StableKeys, bad_expression, did_you_mean, list_names, report_duplicate
 from antdsl.program.tables.colours import COLOURS, default_rgb, rgb
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
@@ -67,22 +58,14 @@ def _unique_states(states: Sequence[nodes.State]) -> list[nodes.State]:
 def _start(scope: Scope, names: MachineNames, members: Sequence[object], span: Span) -> int:
     starts = [m for m in members if isinstance(m, nodes.Start)]
     for extra in starts[1:]:
-        scope.report.error(
-            "duplicate-name",
-            "a second `start`",
-            extra.span,
-            "an agent starts in one state",
-            labels=(Label(starts[0].span, "first here"),),
-        )
+        message = "a second `start`"
+        advice = "an agent starts in one state"
+        scope.report.error("duplicate-name", message, extra.span, advice, labels=(Label(starts[0].span, "first here"),))
     if starts:
         return _state_index(scope, names, starts[0].state) or 0
     if len(names.states) > 1:
-        scope.report.error(
-            "missing-start",
-            f"nothing says which of the states {list_names(names.states)} comes first",
-            span,
-            f"write `start {next(iter(names.states))}`",
-        )
+        message = f"nothing says which of the states {list_names(names.states)} comes first"
+        scope.report.error("missing-start", message, span, f"write `start {next(iter(names.states))}`")
     return 0
 
 
@@ -164,26 +147,14 @@ def _duration(scope: Scope, node: nodes.Expr | None, who: str) -> Expr | None:
     duration = value_of_type(scope, node, TIME, who)
     constant = constant_behind(duration)
     if constant is not None and constant.number < 0:
-        scope.report.error(
-            "out-of-range",
-            f"{who} wants a time, and {quote_source(node.span)} is before now",
-            node.span,
-            "write a time of `0 s` or more",
-        )
+        message = f"{who} wants a time, and {quote_source(node.span)} is before now"
+        scope.report.error("out-of-range", message, node.span, "write a time of `0 s` or more")
     elif constant is not None and not constant.u and constant.number > limits.FRAMES:
-        scope.report.warning(
-            "never-fires",
-            f"{quote_source(node.span)} is longer than any run",
-            node.span,
-            f"write a shorter time: a run has {limits.FRAMES:,} frames at most",
-        )
+        advice = f"write a shorter time: a run has {limits.FRAMES:,} frames at most"
+        scope.report.warning("never-fires", f"{quote_source(node.span)} is longer than any run", node.span, advice)
     elif constant is not None and not constant.u and not constant.step and 0 < constant.number * limits.FPS < 1:
-        scope.report.warning(
-            "out-of-range",
-            f"{quote_source(node.span)} is shorter than a frame of any scene, so {who} takes one step",
-            node.span,
-            "write `1 step`, or a longer time",
-        )
+        message = f"{quote_source(node.span)} is shorter than a frame of any scene, so {who} takes one step"
+        scope.report.warning("out-of-range", message, node.span, "write `1 step`, or a longer time")
     return duration
 
 
@@ -267,25 +238,16 @@ def _choices(scope: Scope, names: MachineNames, target: nodes.Target) -> tuple[t
         weight = value_of_type(scope.with_changes(runs_once=True), choice.weight, NUMBER, f"the weight of `{choice.target.text}`")
         constant = constant_behind(weight)
         if constant is not None and constant.number < 0:
-            scope.report.error(
-                "out-of-range",
-                f"a weight below 0: {quote_source(choice.weight.span)}",
-                choice.weight.span,
-                "write a weight of 0 or more",
-            )
+            message = f"a weight below 0: {quote_source(choice.weight.span)}"
+            scope.report.error("out-of-range", message, choice.weight.span, "write a weight of 0 or more")
         index = _state_index(scope, names, choice.target)
         if index is not None:
             choices.append((index, weight))
     weights = [constant_behind(weight) for _, weight in choices]
     if choices and all(w is not None and w.number == 0 for w in weights):
-        scope.report.error(
-            "out-of-range", "all weights of `choose` are 0", target.span, "give at least one state a weight above 0"
-        )
+        words = "all weights of `choose` are 0"
+        scope.report.error("out-of-range", words, target.span, "give at least one state a weight above 0")
     if target.name is None and not target.previous and not target.choices:
-        scope.report.error(
-            "missing-target",
-            "`choose` has nothing to choose from",
-            target.span,
-            "write `choose { rest: 2; roam: 1 }` with states of this machine",
-        )
+        advice = "write `choose { rest: 2; roam: 1 }` with states of this machine"
+        scope.report.error("missing-target", "`choose` has nothing to choose from", target.span, advice)
     return tuple(choices)

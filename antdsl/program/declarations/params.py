@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 from antdsl.diagnostics import Fix, Label
 from antdsl.program import model
 from antdsl.program.declarations.behaviours import declared_type
+from antdsl.program.kinds import BAD
 from antdsl.program.model import Const, Kind, Type
-from antdsl.program.names.scope import BAD, Scope
+from antdsl.program.names.scope import Scope
 from antdsl.program.tables.units import constant, default_unit, dimension_words, number, unit_spelling
 from antdsl.program.tables.vocabulary import UNITS
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
@@ -43,12 +44,8 @@ def param(scope: Scope, node: nodes.Declaration) -> model.Param | None:
     names.params[name] = BAD
     for extra, word in ((node.relax, "relax"), (node.each, "for each")):
         if extra is not None:
-            scope.report.error(
-                "wrong-kind",
-                f"a param has one value for all agents, so it cannot have `{word}`",
-                extra.span,
-                f"leave `param` out to make `{name}` an attribute",
-            )
+            message = f"a param has one value for all agents, so it cannot have `{word}`"
+            scope.report.error("wrong-kind", message, extra.span, f"leave `param` out to make `{name}` an attribute")
     default = _constant(scope, node.value, f"param `{name}`")
     if default is None:
         return None
@@ -72,12 +69,8 @@ def _constant(scope: Scope, node: nodes.Expr, who: str) -> Const | None:
     expr = value(scope, node)
     constant = constant_behind(expr)
     if constant is None and expr.type.kind is not Kind.BAD:
-        scope.report.error(
-            "wrong-rate",
-            f"{quote_source(node.span)} is not a plain number, which {who} starts with",
-            node.span,
-            "write a number with its unit, such as `40 mm`",
-        )
+        message = f"{quote_source(node.span)} is not a plain number, which {who} starts with"
+        scope.report.error("wrong-rate", message, node.span, "write a number with its unit, such as `40 mm`")
     return constant
 
 
@@ -107,11 +100,9 @@ def _unify_types(scope: Scope, node: nodes.Declaration, three: list[_ParamNumber
 
 
 def _with_type_of(const: Const, reference: Const) -> Const:
-    return (
-        const
-        if const.type == reference.type
-        else Const(reference.type, const.rate, const.span, const.number, reference.u, reference.step)
-    )
+    if const.type == reference.type:
+        return const
+    return Const(reference.type, const.rate, const.span, const.number, reference.u, reference.step)
 
 
 def _report_odd_type(scope: Scope, three: Sequence[_ParamNumber], odd: int, expected: Type, who: str) -> None:
@@ -182,9 +173,8 @@ def _report_missing_units(scope: Scope, three: Sequence[_ParamNumber], unit_numb
     for each in bare:
         text += span.source.text[copied_end : each.node.span.end] + f" {unit}"
         copied_end = each.node.span.end
-    scope.report.error(
-        "missing-unit", _missing_units_text(bare, unit_numbers), span, f"write `{' '.join(text.split())}`", fix=Fix(span, text)
-    )
+    advice = f"write `{' '.join(text.split())}`"
+    scope.report.error("missing-unit", _missing_units_text(bare, unit_numbers), span, advice, fix=Fix(span, text))
 
 
 def _missing_units_text(bare: Sequence[_ParamNumber], unit_numbers: Sequence[_ParamNumber]) -> str:
@@ -255,11 +245,9 @@ def _check_order(scope: Scope, node: nodes.Declaration, three: list[_ParamNumber
         )  # fmt: skip
         return
     better = _text_within_limits(three)
-    scope.report.error(
-        "out-of-range", f"{quote_source(value.node.span)} lies outside of {quote_source(node.range.span)}", value.node.span,
-        f"did you mean `{better}`?" if better else "start inside the range, or widen it",
-        fix=Fix(value.node.span, better) if better else None,
-    )  # fmt: skip
+    message = f"{quote_source(value.node.span)} lies outside of {quote_source(node.range.span)}"
+    advice = f"did you mean `{better}`?" if better else "start inside the range, or widen it"
+    scope.report.error("out-of-range", message, value.node.span, advice, fix=Fix(value.node.span, better) if better else None)
 
 
 def _limit_text(end: _ParamNumber, low: _ParamNumber) -> str:

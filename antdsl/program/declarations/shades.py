@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from antdsl import limits
+from antdsl.program.kinds import BAD, BOOL, NUMBER
 from antdsl.program.model import Expr, Kind
-from antdsl.program.names.scope import BAD, BOOL, NUMBER, Scope, bad_expression
+from antdsl.program.names.scope import Scope, bad_expression
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import op, truth, value, value_of_type
@@ -18,10 +19,8 @@ def fuzzy_mean(scope: Scope, node: nodes.Fuzzy) -> Expr:
     15(1), 1985, section II). The outputs there are linear, and may be here, because any number can follow the arrow. The
     arguments of the operation are degree, output, degree, output, …"""
     if not node.rules:
-        scope.report.error(
-            "empty-fuzzy", f"`fuzzy {node.name.text}` has no rules", node.span, "write rules such as `near and fast -> 0.8`"
-        )
-        return bad_expression(node.span)
+        message = f"`fuzzy {node.name.text}` has no rules"
+        return scope.reject("empty-fuzzy", message, node.span, "write rules such as `near and fast -> 0.8`")
     if len(node.rules) > limits.RULES:
         over = node.rules[limits.RULES].span
         scope.report.error("too-many", f"more than {limits.RULES} rules in one `fuzzy`", over, "put some together")
@@ -31,11 +30,8 @@ def fuzzy_mean(scope: Scope, node: nodes.Fuzzy) -> Expr:
     first: Expr | None = None
     for rule in node.rules:
         parts.append(_degree(inner, rule.condition))
-        said = (
-            value(scope, rule.value)
-            if first is None
-            else value_of_type(scope, rule.value, first.type, f"`fuzzy {node.name.text}`")
-        )
+        who = f"`fuzzy {node.name.text}`"
+        said = value(scope, rule.value) if first is None else value_of_type(scope, rule.value, first.type, who)
         if said.type.kind not in (Kind.NUMBER, Kind.BAD):
             report_mismatch(scope.report, rule.value, said.type, NUMBER, "a rule")
             said = bad_expression(rule.value.span)
@@ -53,18 +49,11 @@ def _degree(scope: Scope, node: nodes.Expr) -> Expr:
         return truth(scope, node, expr, "a rule")
     if not is_compatible(expr.type, NUMBER):
         text = " ".join(node.span.text.split())
-        scope.report.error(
-            "wrong-unit", f"{quote_source(node.span)} is {type_words(expr.type)}, and a rule wants a share from 0 to 1",
-            node.span,
-            f"say where it begins and where it is full: `rising({text if len(text) <= 30 else '…'}, a .. b)`",
-        )  # fmt: skip
-        return bad_expression(node.span)
+        message = f"{quote_source(node.span)} is {type_words(expr.type)}, and a rule wants a share from 0 to 1"
+        advice = f"say where it begins and where it is full: `rising({text if len(text) <= 30 else '…'}, a .. b)`"
+        return scope.reject("wrong-unit", message, node.span, advice)
     known = constant_behind(expr)
     if known is not None and not 0 <= known.number <= 1:
-        scope.report.error(
-            "out-of-range",
-            f"{quote_source(node.span)} is not a degree of truth",
-            node.span,
-            "write a degree from 0 to 1, such as `0.5`",
-        )
+        message = f"{quote_source(node.span)} is not a degree of truth"
+        scope.report.error("out-of-range", message, node.span, "write a degree from 0 to 1, such as `0.5`")
     return expr

@@ -16,15 +16,12 @@ from antdsl.program.declarations.params import param
 from antdsl.program.declarations.resting import rest
 from antdsl.program.declarations.shades import fuzzy_mean
 from antdsl.program.declarations.statements import check_statements
+from antdsl.program.kinds import BAD, BOOL, PUSH, TIME
 from antdsl.program.memo import cached_part
 from antdsl.program.model import Binding, Dim, Kind, Rate, Type
 from antdsl.program.names.collect import EVENTS, check_free_in_species
 from antdsl.program.names.ordering import order_declarations
 from antdsl.program.names.scope import (
-    BAD,
-    BOOL,
-    PUSH,
-    TIME,
     Declared,
     FileNames,
     Scope,
@@ -104,9 +101,8 @@ def _check_names(scope: Scope, node: nodes.Species) -> None:
             check_free_in_species(scope.report, each.name, value_span)
         spans_by_name.setdefault(each.name.text, each.name.span)
     if len(spans_by_name) > limits.ATTRIBUTES:
-        scope.report.error(
-            "too-many", f"species `{node.name.text}` declares more than {limits.ATTRIBUTES} names", node.name.span, "split it"
-        )
+        message = f"species `{node.name.text}` declares more than {limits.ATTRIBUTES} names"
+        scope.report.error("too-many", message, node.name.span, "split it")
 
 
 # --- the rest --------------------------------------------------------------------------------------------------------
@@ -156,33 +152,21 @@ def _with_relaxation(scope: Scope, attribute: model.AttributeDecl, node: nodes.D
     to = over = None
     if node.relax is not None:
         if attribute.type.kind not in (Kind.NUMBER, Kind.VECTOR, Kind.BAD):
-            scope.report.error(
-                "wrong-kind",
-                f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax",
-                node.relax.span,
-                "only numbers and vectors can change gradually",
-            )
+            message = f"`{attribute.name}` is {type_words(attribute.type)} and cannot relax"
+            scope.report.error("wrong-kind", message, node.relax.span, "only numbers and vectors can change gradually")
         to = value_of_type(scope, node.relax.to, attribute.type, "`relax to`")
         over = value_of_type(scope, node.relax.over, TIME, "`over`")
     each, strongest = None, 0
     if node.each is not None:
         type = reference_type(scope, node.each.species)
         if type is not None and type.kind is not Kind.AGENT:
-            scope.report.error(
-                "wrong-kind",
-                f"`{node.each.species.text}` is not a species",
-                node.each.species.span,
-                "`for each` stores values about other agents",
-            )
+            message = f"`{node.each.species.text}` is not a species"
+            scope.report.error("wrong-kind", message, node.each.species.span, "`for each` stores values about other agents")
         each = node.each.species.text
         check_pair_value(scope, attribute, to)
         if node.each.strongest is None:
-            scope.report.error(
-                "missing-bound",
-                f"`{attribute.name}` does not say for how many others it is stored",
-                node.each.span,
-                f"write `for each {each}, strongest 8`",
-            )
+            message = f"`{attribute.name}` does not say for how many others it is stored"
+            scope.report.error("missing-bound", message, node.each.span, f"write `for each {each}, strongest 8`")
         else:
             count = constant_behind(value_of_type(scope, node.each.strongest, Type(Kind.NUMBER), "`strongest`"))
             strongest = int(count.number) if count is not None else 0
@@ -239,9 +223,8 @@ def _machines(scope: Scope, node: nodes.Species) -> list[model.Machine]:
     if "main" in names.machines and any(isinstance(m, nodes.State) for m in loose):
         machines.append(machine(scope, names.machines["main"], loose, node.name.span))
     elif loose:
-        scope.report.error(
-            "unknown-state", "there are no states here", loose[0].span, "move this line into the `machine` that it belongs to"
-        )
+        message = "there are no states here"
+        scope.report.error("unknown-state", message, loose[0].span, "move this line into the `machine` that it belongs to")
     known_names = {m.name for m in machines}
     for member in node.members:
         if isinstance(member, nodes.Machine) and member.name.text not in known_names:
@@ -270,9 +253,8 @@ def _handler(scope: Scope, node: nodes.On, events: dict[str, StableKeys]) -> mod
             )
         scope = scope.with_changes(locals={node.variable.text: other or bad_expression(node.variable.span)})
     elif node.variable is not None:
-        scope.report.error(
-            "wrong-argument", f"`on {event}` does not name an agent", node.variable.span, f"write `on {event} {{ … }}`"
-        )
+        message = f"`on {event}` does not name an agent"
+        scope.report.error("wrong-argument", message, node.variable.span, f"write `on {event} {{ … }}`")
         scope = scope.with_changes(locals={node.variable.text: bad_expression(node.variable.span)})
     if event not in EVENTS:
         scope.mark_used("on", event)
@@ -320,13 +302,9 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
     assert names is not None
     written = [m for m in node.members if isinstance(m, nodes.Layers)]
     for extra in written[1:]:
-        scope.report.error(
-            "duplicate-name",
-            "a second `layers`",
-            extra.span,
-            "merge them into one",
-            labels=(Label(written[0].span, "first here"),),
-        )
+        message = "a second `layers`"
+        advice = "merge them into one"
+        scope.report.error("duplicate-name", message, extra.span, advice, labels=(Label(written[0].span, "first here"),))
     if not written:
         return model.Layers("budget", (model.Layer(None, None, "state", node.name.span, "state"),), node.name.span)
     block = written[0]
@@ -340,12 +318,8 @@ def _layers(scope: Scope, node: nodes.Species) -> model.Layers:
             did_you_mean(mode, ("sum", "first"), "write `layers`, `layers sum` or `layers first`"),
         )
     if len(block.layers) > limits.LAYERS:
-        scope.report.error(
-            "too-many",
-            f"more than {limits.LAYERS} layers",
-            block.layers[limits.LAYERS].span,
-            "combine some of them in a behaviour",
-        )
+        message = f"more than {limits.LAYERS} layers"
+        scope.report.error("too-many", message, block.layers[limits.LAYERS].span, "combine some of them in a behaviour")
     scope = scope.with_changes(keys=StableKeys(f"{names.name}.layers"))
     counts: dict[str, int] = {}
     return model.Layers(mode, tuple(_layer(scope, each, counts) for each in block.layers), block.span)

@@ -18,8 +18,9 @@ from antdsl.program.expectations import (
     Spec,
     SpecChange,
 )
+from antdsl.program.kinds import NUMBER, TIME
 from antdsl.program.model import Expr, Field, Kind, Op, Param, Rate
-from antdsl.program.names.scope import NUMBER, TIME, Declared, FileNames, Scope, StableKeys, did_you_mean, list_names
+from antdsl.program.names.scope import Declared, FileNames, Scope, StableKeys, did_you_mean, list_names
 from antdsl.program.tables.units import default_unit, measure
 from antdsl.program.tables.vocabulary import DRAWS
 from antdsl.program.traverse import parts, written_nodes
@@ -59,19 +60,14 @@ def check_spec(
 ) -> Spec:
     """Return a spec with the types of all its expressions. Reports names that cannot be used in a spec."""
     if spec.scene is not None and not spec.scene.text.endswith((".yaml", ".yml")):
-        declared.report.error(
-            "not-a-scene", f"`{spec.scene.text}` is not the name of a scene", spec.scene.span, 'write `on "scene.yaml"`'
-        )
+        words = f"`{spec.scene.text}` is not the name of a scene"
+        declared.report.error("not-a-scene", words, spec.scene.span, 'write `on "scene.yaml"`')
     work = _SpecCheck(declared, names, params, fields, compares=any(line.kind == "against" for line in spec.lines))
     for line in spec.lines:
         _line(work, line)
     if not any((line.condition is not None and line.kind not in _HOW) or line.kind == "each" for line in spec.lines):
-        declared.report.warning(
-            "empty-spec",
-            f"the spec {quote_source(spec.name.span)} expects nothing",
-            spec.name.span,
-            "write `always: …` or `within 20 s: …`",
-        )
+        message = f"the spec {quote_source(spec.name.span)} expects nothing"
+        declared.report.warning("empty-spec", message, spec.name.span, "write `always: …` or `within 20 s: …`")
     return Spec(
         spec.name.text, spec.scene, work.duration, tuple(dict.fromkeys(work.seeds)), tuple(work.changes),
         tuple(work.expectations), spec.span, 1.0 if work.share is None else work.share, work.against,
@@ -112,9 +108,8 @@ def _time(work: _SpecCheck, line: nodes.SpecLine, scope: Scope, node: nodes.Expr
         return None
     known = constant_behind(expr)
     if known is not None and known.number <= 0:
-        work.declared.report.error(
-            "out-of-range", f"`{word}` needs a time above 0", node.span, "write a time above 0, such as `20 s`"
-        )
+        message = f"`{word}` needs a time above 0"
+        work.declared.report.error("out-of-range", message, node.span, "write a time above 0, such as `20 s`")
         return None
     return expr
 
@@ -136,9 +131,8 @@ def _comparison_run(work: _SpecCheck, line: nodes.SpecLine) -> ComparisonRun:
     """Return the reference run; its `set` lines are in a separate list."""
     report, scene = work.declared.report, line.target
     if isinstance(scene, nodes.Text) and not scene.text.endswith((".yaml", ".yml")):
-        report.error(
-            "not-a-scene", f"`{scene.text}` is not the name of a scene", scene.span, 'write `against "without_fields.yaml"`'
-        )
+        message = f"`{scene.text}` is not the name of a scene"
+        report.error("not-a-scene", message, scene.span, 'write `against "without_fields.yaml"`')
     own, work.changes = work.changes, []
     for inner in line.lines:
         if inner.kind == "set":
@@ -165,12 +159,8 @@ def _read_seeds(work: _SpecCheck, line: nodes.SpecLine) -> None:
     if high < low:
         work.declared.report.error("empty-range", "the seeds end before they begin", node.span, "write the lower one first")
     elif high - low >= MOST_SEEDS:
-        work.declared.report.error(
-            "too-many",
-            f"more than {MOST_SEEDS:,} seeds",
-            node.span,
-            "a spec that holds for ten seeds will probably hold for a thousand",
-        )
+        advice = "a spec that holds for ten seeds will probably hold for a thousand"
+        work.declared.report.error("too-many", f"more than {MOST_SEEDS:,} seeds", node.span, advice)
     else:
         work.seeds += range(low, high + 1)
 
@@ -181,9 +171,8 @@ def _whole_number(work: _SpecCheck, node: nodes.Expr) -> int | None:
     if known is not None and known.number == int(known.number) and 0 <= known.number < 2**53:
         return int(known.number)
     if expr.type.kind is not Kind.BAD:
-        work.declared.report.error(
-            "wrong-count", f"a seed is a whole number, not {quote_source(node.span)}", node.span, "write `seeds 1 .. 5`"
-        )
+        message = f"a seed is a whole number, not {quote_source(node.span)}"
+        work.declared.report.error("wrong-count", message, node.span, "write `seeds 1 .. 5`")
     return None
 
 
@@ -230,12 +219,8 @@ def _check_range(work: _SpecCheck, node: nodes.Expr, param: Param, expr: Expr) -
         alike = constant is not None and bound is not None and (bound.u, bound.step) == (constant.u, constant.step)
         if constant is not None and bound is not None and alike and sign * (constant.number - bound.number) < 0:
             low, high = (end.span.text if end is not None else "" for end in (param.low, param.high))
-            work.declared.report.error(
-                "out-of-range",
-                f"`{param.name}` = {constant.span.text} is outside {low} .. {high}",
-                node.span,
-                "write a value inside the range",
-            )
+            message = f"`{param.name}` = {constant.span.text} is outside {low} .. {high}"
+            work.declared.report.error("out-of-range", message, node.span, "write a value inside the range")
 
 
 # --- what is expected ------------------------------------------------------------------------------------------------
@@ -246,18 +231,16 @@ def _check_each_block(work: _SpecCheck, line: nodes.SpecLine) -> None:
     assert isinstance(line.target, nodes.NameRef)
     species = line.target.name.text
     if species not in declared.species:
-        declared.report.error(
-            "unknown-species", f"no species `{species}`", line.target.span, did_you_mean(species, declared.species)
-        )
+        message = f"no species `{species}`"
+        declared.report.error("unknown-species", message, line.target.span, did_you_mean(species, declared.species))
         return
     declared.used.add(("species", species))
     outer_scope(declared, work.names, "spec").bind(line.target.span, "species", species)
     work.blocks += 1
     for inner in line.lines:
         if inner.kind in ("seeds", "pass", "set", "against", "sooner", "each") or (inner.kind == "for" and not inner.condition):
-            declared.report.error(
-                "misplaced-line", f"`{inner.kind}` belongs to the whole spec", inner.span, f"write it outside of `each {species}`"
-            )
+            message = f"`{inner.kind}` belongs to the whole spec"
+            declared.report.error("misplaced-line", message, inner.span, f"write it outside of `each {species}`")
         else:
             _add_expectation(work, inner, species)
 
@@ -286,9 +269,8 @@ def _allows_time(work: _SpecCheck, line: nodes.SpecLine) -> bool:
     report = work.declared.report
     if line.held is not None and line.kind in ("always", "for"):
         words = f"`{line.kind}` with `held` fails in the first frame, where nothing has held yet"
-        report.error(
-            "wrong-argument", words, line.held.span, "leave `held` out: a condition that is always true has held all the time"
-        )
+        advice = "leave `held` out: a condition that is always true has held all the time"
+        report.error("wrong-argument", words, line.held.span, advice)
         return False
     if line.kind == "sooner" and not work.compares:
         words = "`sooner` compares with another run, and there is none"
@@ -302,27 +284,18 @@ def _is_judgeable(work: _SpecCheck, line: nodes.SpecLine, species: str | None, e
     report, text = work.declared.report, quote_source(expr.span)
     if species is None and expr.rate > Rate.STEP:
         names = [name for name, each in work.declared.species.items() if each.node is not None] or ["walker"]
-        report.error(
-            "wrong-rate",
-            f"{text} differs from agent to agent, but no agent is named",
-            expr.span,
-            f"write it in `each {names[0]} {{ … }}`, or use the `share`, `mean`, `min` or `max` of all",
-        )
+        advice = f"write it in `each {names[0]} {{ … }}`, or use the `share`, `mean`, `min` or `max` of all"
+        report.error("wrong-rate", f"{text} differs from agent to agent, but no agent is named", expr.span, advice)
         return False
     held = line.held is not None or line.since is not None
     if at_end and (species is not None or held or line.kind not in ("always", "never", "finally")):
-        report.error(
-            "wrong-argument",
-            "`motion` is measured over the whole run and known only at its end",
-            expr.span,
-            "limit it in a line of the spec itself: `always: motion.circling < 5 %`",
-        )
+        advice = "limit it in a line of the spec itself: `always: motion.circling < 5 %`"
+        report.error("wrong-argument", "`motion` is measured over the whole run and known only at its end", expr.span, advice)
         return False
     draw = next((p for p in parts(expr) if isinstance(p, Op) and p.name in DRAWS), None)
     if draw is not None:
-        report.error(
-            "draw-in-spec", f"{quote_source(draw.span)} draws a random number, and a spec only looks", draw.span, "leave it out"
-        )
+        message = f"{quote_source(draw.span)} draws a random number, and a spec only looks"
+        report.error("draw-in-spec", message, draw.span, "leave it out")
         return False
     return True
 

@@ -10,8 +10,9 @@ from antdsl.program import model
 from antdsl.program.declarations.amounts import Block, amount_or_rate
 from antdsl.program.declarations.appearance import channel, look, play, wear
 from antdsl.program.declarations.asks import ask
+from antdsl.program.kinds import NUMBER, PUSH
 from antdsl.program.model import Expr, Kind, Type
-from antdsl.program.names.scope import NUMBER, PUSH, Scope, did_you_mean, list_names, type_from_words
+from antdsl.program.names.scope import Scope, did_you_mean, list_names, type_from_words
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES
 from antdsl.program.types.arguments import place
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words
@@ -38,10 +39,9 @@ def check_statements(scope: Scope, lines: Iterable[object], block: Block) -> tup
 
 def _report_duplicates(scope: Scope, name: nodes.Name, assigned: dict[str, Span]) -> None:
     if name.text in assigned:
-        scope.report.error(
-            "two-writers", f"`{name.text}` is set twice in one block, and only the second counts", name.span,
-            f"keep one of them, or add: `{name.text} += …`", labels=(Label(assigned[name.text], "first here"),),
-        )  # fmt: skip
+        message = f"`{name.text}` is set twice in one block, and only the second counts"
+        advice = f"keep one of them, or add: `{name.text} += …`"
+        scope.report.error("two-writers", message, name.span, advice, labels=(Label(assigned[name.text], "first here"),))
     assigned.setdefault(name.text, name.span)
 
 
@@ -87,12 +87,8 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
         name, type = own
     else:
         value(scope, line.value)
-        scope.report.error(
-            "not-own",
-            f"{quote_source(target.span)} belongs to another; an agent sets only its own values",
-            target.span,
-            "raise an event with `emit`, and let the other set it in `on`",
-        )
+        message = f"{quote_source(target.span)} belongs to another; an agent sets only its own values"
+        scope.report.error("not-own", message, target.span, "raise an event with `emit`, and let the other set it in `on`")
         return None
     scope.declared.written.add(f"{species.name}.{name}")
     if line.op != "=":
@@ -100,21 +96,16 @@ def _assign(scope: Scope, line: nodes.Assign, block: Block) -> model.Statement |
             value(scope, line.value)
             return None
         if type.kind not in (Kind.NUMBER, Kind.VECTOR):
-            scope.report.error(
-                "wrong-kind",
-                f"`{name}` is {type_words(type)}, but you can add only to numbers and vectors",
-                line.span,
-                f"set it: `{name} = …`",
-            )
+            message = f"`{name}` is {type_words(type)}, but you can add only to numbers and vectors"
+            scope.report.error("wrong-kind", message, line.span, f"set it: `{name} = …`")
             return None
         change = amount_or_rate(inner, line.value, type, block, f"{' '.join(target.span.text.split())} {line.op} ")
         return None if change is None else model.Assign(name, line.op, change, block.body, line.span, of, over, element)
     if block.commuting and name not in ("heading", "velocity") and type.kind not in (Kind.AGENT, Kind.ITEM):
         text, what = (" ".join(each.span.text.split()) for each in (line.value, target))
-        scope.report.error(
-            "not-commuting", f"`{what}` is set in a handler, where several events may come at once", line.span,
-            f"add to it: `{what} += {text}`, or set it in a change that asks for it: `when … -> … {{ {what} = {text} }}`",
-        )  # fmt: skip
+        words = f"`{what}` is set in a handler, where several events may come at once"
+        advice = f"add to it: `{what} += {text}`, or set it in a change that asks for it: `when … -> … {{ {what} = {text} }}`"
+        scope.report.error("not-commuting", words, line.span, advice)
         return None
     new = value_of_type(inner, line.value, type, f"`{name}`")
     return None if new.type.kind is Kind.BAD else model.Assign(name, "=", new, False, line.span, of, over, element)
@@ -139,37 +130,23 @@ def _assigned_attribute(scope: Scope, name: nodes.Name, block: Block, line: node
             return None
         return text, type_from_words(builtin.type) or Type(Kind.BAD)
     if text in species.params:
-        report.error(
-            "not-settable",
-            f"`{text}` is a param, which has one value for all agents",
-            name.span,
-            f"make it an attribute: `{text} = …` without `param`",
-        )
+        message = f"`{text}` is a param, which has one value for all agents"
+        report.error("not-settable", message, name.span, f"make it an attribute: `{text} = …` without `param`")
     elif text in species.bindings:
-        report.error(
-            "not-settable",
-            f"`{text}` is a `let` or `latch`, which follows from other values",
-            name.span,
-            "set what it follows from, or make it an attribute",
-        )
+        message = f"`{text}` is a `let` or `latch`, which follows from other values"
+        report.error("not-settable", message, name.span, "set what it follows from, or make it an attribute")
     elif builtin is not None or text in ("state", "previous", "next", "time_in_state"):
-        advice = (
-            "a transition changes it: `when … -> …`"
-            if builtin is None
-            else "it moves by `steer`"
-            if text in ("position", "speed")
-            else "it follows from other values"
-        )
+        advice = "it moves by `steer`" if text in ("position", "speed") else "it follows from other values"
+        if builtin is None:
+            advice = "a transition changes it: `when … -> …`"
         report.error("not-settable", f"`{text}` cannot be set", name.span, advice)
     else:
         known = [a for a in species.attributes if a not in species.each] + [
             n for n, g in BUILTIN_ATTRIBUTES.items() if g.settable
         ]
+        message = f"`{species.name}` has no attribute `{text}`"
         report.error(
-            "unknown-name",
-            f"`{species.name}` has no attribute `{text}`",
-            name.span,
-            did_you_mean(text, known, f"declare it: `{text} = …` in `species {species.name}`"),
+            "unknown-name", message, name.span, did_you_mean(text, known, f"declare it: `{text} = …` in `species {species.name}`")
         )
     return None
 
@@ -213,12 +190,8 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
         return None
     if line.attribute is None and isinstance(line.amount, nodes.NameRef) and amount is not None:
         name, what = line.amount.name.text, " ".join(line.source.span.text.split())
-        scope.report.error(
-            "missing-argument",
-            f"`take {name}` does not state an amount",
-            line.amount.span,
-            f"write `take 1 {name} from {what}`, or `take all {name} from {what}`",
-        )
+        advice = f"write `take 1 {name} from {what}`, or `take all {name} from {what}`"
+        scope.report.error("missing-argument", f"`take {name}` does not state an amount", line.amount.span, advice)
         return None
     if source.type.kind is Kind.FIELD:
         if (
@@ -229,12 +202,9 @@ def take(scope: Scope, line: nodes.Take) -> model.Take | None:
             return None
     elif line.attribute is None:
         if source.type.kind is not Kind.BAD:
-            scope.report.error(
-                "missing-argument",
-                f"`take` does not say what is taken from {quote_source(line.source.span)}",
-                line.span,
-                f"name the attribute: `take 1 load from {' '.join(line.source.span.text.split())}`",
-            )
+            message = f"`take` does not say what is taken from {quote_source(line.source.span)}"
+            advice = f"name the attribute: `take 1 load from {' '.join(line.source.span.text.split())}`"
+            scope.report.error("missing-argument", message, line.span, advice)
         return None
     elif own is None or not _has_attribute(scope, line.source, source, line.attribute, own):
         return None

@@ -7,13 +7,10 @@ from collections.abc import Callable
 from antdsl import limits
 from antdsl.diagnostics import Label, Report
 from antdsl.program import model
+from antdsl.program.kinds import LENGTH, NUMBER, PER_SECOND, TIME
 from antdsl.program.model import Const, Dim, Expr, Kind, Rate, Type
 from antdsl.program.names.collect import check_free
 from antdsl.program.names.scope import (
-    LENGTH,
-    NUMBER,
-    PER_SECOND,
-    TIME,
     Declared,
     FileNames,
     Scope,
@@ -64,13 +61,9 @@ def _declare_thing(declared: Declared, names: FileNames, item: nodes.WorldItem) 
     if known is not None and (known.kind != kind or known.span.source.path == item.span.source.path):
         report_duplicate(report, kind, item.name, known.span)
         return
-    if kind not in ("items", "species") and item.attributes:
-        report.error(
-            "wrong-kind",
-            f"{kind} `{name}` has no values",
-            item.attributes[0].span,
-            "only `items` and `species` can have attributes",
-        )
+    if not KINDS_OF_THINGS[kind].has_values and item.attributes:
+        message = f"{kind} `{name}` has no values"
+        report.error("wrong-kind", message, item.attributes[0].span, "only `items` and `species` can have attributes")
     if known is None and not check_free(report, item.name):
         return
     attributes = tuple(_attribute(declared, names, item, each) for each in item.attributes)
@@ -91,22 +84,14 @@ def _attribute(declared: Declared, names: FileNames, item: nodes.WorldItem, node
         report_duplicate(report, "attribute", node.name, twice[0].name.span)
     taken = ITEM_ATTRIBUTES if item.kind.text == "items" else BUILTIN_ATTRIBUTES
     if name in taken:
-        report.error(
-            "reserved-name",
-            f"every one of `{item.name.text}` has a `{name}` already",
-            node.name.span,
-            f"call it otherwise, such as `my_{name}`",
-        )
+        message = f"every one of `{item.name.text}` has a `{name}` already"
+        report.error("reserved-name", message, node.name.span, f"call it otherwise, such as `my_{name}`")
     expr = value(outer_scope(declared, names, f"world.{item.name.text}"), node.value)
     constant = constant_behind(expr)
     if constant is None or constant.type.kind is not Kind.NUMBER:
         if expr.type.kind is not Kind.BAD:
-            report.error(
-                "wrong-rate",
-                f"{quote_source(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with",
-                node.value.span,
-                f"write a number: `{name} = 0`",
-            )
+            words = f"{quote_source(node.value.span)} is not a plain number, which an attribute of `{item.name.text}` starts with"
+            report.error("wrong-rate", words, node.value.span, f"write a number: `{name} = 0`")
         constant = number(0, node.value.span)
     return model.ItemAttribute(name, constant.type, constant, node.help.text if node.help else "", node.name.span)
 
@@ -121,12 +106,9 @@ def check_world_species(declared: Declared) -> None:
             own = species.attributes.get(attribute.name)
             labels = (Label(species.node.name.span, f"`{thing.name}` is declared here"),)
             if own is None:
+                message = f"species `{thing.name}` has no attribute `{attribute.name}`"
                 declared.report.error(
-                    "unknown-name",
-                    f"species `{thing.name}` has no attribute `{attribute.name}`",
-                    attribute.span,
-                    did_you_mean(attribute.name, species.attributes),
-                    labels=labels,
+                    "unknown-name", message, attribute.span, did_you_mean(attribute.name, species.attributes), labels=labels
                 )
             elif not is_compatible(own, attribute.type):
                 report_mismatch(
@@ -158,9 +140,8 @@ def declare_fields(declared: Declared, names: FileNames) -> list[nodes.FieldDecl
         elif known.span.source.path == item.span.source.path or known.span.text.split() != item.span.text.split():
             report_duplicate(declared.report, "field", item.name, known.name.span)
     if len(declared.fields) > limits.FIELDS:
-        declared.report.error(
-            "too-many", f"more than {limits.FIELDS} fields", added[-1].name.span if added else None, "leave some out"
-        )
+        message = f"more than {limits.FIELDS} fields"
+        declared.report.error("too-many", message, added[-1].name.span if added else None, "leave some out")
     return added
 
 
@@ -188,12 +169,8 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
     _check_single_decay(report, settings)
     setting_values = {word: SETTINGS[word](scope, setting) for word, setting in settings.items()}
     if "cell" not in settings:
-        report.error(
-            "missing-setting",
-            f"field `{node.name.text}` does not say how large its cells are",
-            node.name.span,
-            "write `cell 4 mm` between its braces",
-        )
+        message = f"field `{node.name.text}` does not say how large its cells are"
+        report.error("missing-setting", message, node.name.span, "write `cell 4 mm` between its braces")
     cell = setting_values.get("cell") or number(1, node.span)
     return model.Field(
         node.name.text, surfaces, cell, setting_values.get("half_life"),
@@ -205,37 +182,28 @@ def check_field(declared: Declared, names: FileNames, node: nodes.FieldDecl) -> 
 
 def _is_ground(declared: Declared, name: nodes.Name) -> bool:
     thing = declared.things.get(name.text)
-    if thing is not None and thing.kind in ("surface", "solid", "obstacle"):
+    if thing is not None and KINDS_OF_THINGS[thing.kind].has_faces:
         declared.used.add(("thing", name.text))
         return True
     if thing is None and name.text in declared.unclear:
         return False
-    grounds = [t.name for t in declared.things.values() if t.kind in ("surface", "solid")]
+    grounds = [t.name for t in declared.things.values() if KINDS_OF_THINGS[t.kind].is_ground]
     if thing is None:
+        message = f"no surface `{name.text}`"
         declared.report.error(
-            "unknown-name",
-            f"no surface `{name.text}`",
-            name.span,
-            did_you_mean(name.text, grounds, f"declare it: `world {{ surface {name.text} }}`"),
+            "unknown-name", message, name.span, did_you_mean(name.text, grounds, f"declare it: `world {{ surface {name.text} }}`")
         )
     else:
-        declared.report.error(
-            "wrong-kind",
-            f"`{name.text}` is {thing.kind}, but a field needs a surface",
-            name.span,
-            f"surfaces are {list_names(grounds)}" if grounds else None,
-        )
+        message = f"`{name.text}` is {thing.kind}, but a field needs a surface"
+        declared.report.error("wrong-kind", message, name.span, f"surfaces are {list_names(grounds)}" if grounds else None)
     return False
 
 
 def _check_single_decay(report: Report, settings: dict[str, nodes.Setting]) -> None:
     decays = [settings[word] for word in ("half_life", "evaporate", "keeps") if word in settings]
     for extra in decays[1:]:
-        report.error(
-            "two-decays", f"`{decays[0].name.text}` and `{extra.name.text}` both say how fast it fades", extra.span,
-            "keep one of them",
-            labels=(Label(decays[0].span, "the other one"),),
-        )  # fmt: skip
+        message = f"`{decays[0].name.text}` and `{extra.name.text}` both say how fast it fades"
+        report.error("two-decays", message, extra.span, "keep one of them", labels=(Label(decays[0].span, "the other one"),))
 
 
 def _setting_rule(type: Type, least: float | None = None, above: bool = False) -> Callable[[Scope, nodes.Setting], Expr | None]:
@@ -247,12 +215,9 @@ def _setting_rule(type: Type, least: float | None = None, above: bool = False) -
             return None
         constant = constant_behind(expr)
         if constant is not None and least is not None and (constant.number < least or (above and constant.number == least)):
-            scope.report.error(
-                "out-of-range",
-                f"`{node.name.text}` cannot be {quote_source(node.value.span)}",
-                node.value.span,
-                f"write {'more than' if above else 'at least'} {least:g}",
-            )
+            message = f"`{node.name.text}` cannot be {quote_source(node.value.span)}"
+            advice = f"write {'more than' if above else 'at least'} {least:g}"
+            scope.report.error("out-of-range", message, node.value.span, advice)
             return None
         return expr
 
@@ -264,12 +229,8 @@ def is_run_constant(report: Report, expr: Expr, who: str) -> bool:
     if expr.rate <= Rate.RUN:
         return True
     differs = "changes from step to step" if expr.rate is Rate.STEP else "differs from agent to agent"
-    report.error(
-        "wrong-rate",
-        f"{quote_source(expr.span)} {differs}, and {who} is one value for the whole run",
-        expr.span,
-        "write a number",
-    )
+    message = f"{quote_source(expr.span)} {differs}, and {who} is one value for the whole run"
+    report.error("wrong-rate", message, expr.span, "write a number")
     return False
 
 
@@ -282,20 +243,12 @@ def _keep_factor(scope: Scope, node: nodes.Setting) -> Expr | None:
     text = " ".join(node.value.span.text.split())
     if constant is None or expr.type != PER_SECOND or constant.step != -1 or constant.u:
         better = f"`keeps {text}/step`" if expr.type == NUMBER else "`keeps 90 %/step`"
-        scope.report.error(
-            "wrong-unit",
-            f"`keeps` is a share for each step, and {quote_source(node.value.span)} is not",
-            node.value.span,
-            f"write {better}, or `half_life 8 s`",
-        )
+        message = f"`keeps` is a share for each step, and {quote_source(node.value.span)} is not"
+        scope.report.error("wrong-unit", message, node.value.span, f"write {better}, or `half_life 8 s`")
         return None
     if not 0 <= constant.number <= 1:
-        scope.report.error(
-            "out-of-range",
-            f"`keeps` cannot be {quote_source(node.value.span)}",
-            node.value.span,
-            "write a share from `0 %/step` to `100 %/step`",
-        )
+        message = f"`keeps` cannot be {quote_source(node.value.span)}"
+        scope.report.error("out-of-range", message, node.value.span, "write a share from `0 %/step` to `100 %/step`")
         return None
     return number(constant.number, node.value.span)
 
@@ -306,12 +259,9 @@ def _word_number(scope: Scope, node: nodes.Setting) -> Expr | None:
     words = WORD_SETTINGS[setting]
     word = node.value.name.text if isinstance(node.value, nodes.NameRef) else ""
     if word not in words:
-        scope.report.error(
-            "wrong-kind",
-            f"`{setting}` is {' or '.join(f'`{each}`' for each in words)}, not {quote_source(node.value.span)}",
-            node.value.span,
-            f"write {' or '.join(f'`{setting} {each}`' for each in words)}",
-        )
+        message = f"`{setting}` is {' or '.join(f'`{each}`' for each in words)}, not {quote_source(node.value.span)}"
+        advice = f"write {' or '.join(f'`{setting} {each}`' for each in words)}"
+        scope.report.error("wrong-kind", message, node.value.span, advice)
         return None
     return number(float(words.index(word)), node.value.span)
 
@@ -328,12 +278,8 @@ def _stencil(scope: Scope, node: nodes.Setting) -> Expr | None:
         return None
     constant = constant_behind(expr)
     if constant is None or constant.number not in STENCILS:
-        scope.report.error(
-            "out-of-range",
-            f"`stencil` is 4 or 8, not {quote_source(node.value.span)}",
-            node.value.span,
-            "write `stencil 4`, cells beside it, or `stencil 8`, those at its corners too",
-        )
+        advice = "write `stencil 4`, cells beside it, or `stencil 8`, those at its corners too"
+        scope.report.error("out-of-range", f"`stencil` is 4 or 8, not {quote_source(node.value.span)}", node.value.span, advice)
         return None
     return number(constant.number, node.value.span)
 

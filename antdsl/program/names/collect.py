@@ -94,9 +94,8 @@ class Loader:
         if name in names.own:
             report_duplicate(self.report, "behaviour", node.name, names.own[name].node.name.span)
         elif name in BUILTINS or name in REDUCERS or name in RESERVED:
-            self.report.error(
-                "reserved-name", f"`{name}` is a word of the language", node.name.span, f"call it otherwise, such as `my_{name}`"
-            )
+            message = f"`{name}` is a word of the language"
+            self.report.error("reserved-name", message, node.name.span, f"call it otherwise, such as `my_{name}`")
         else:
             names.own[name] = BehaviourInfo(node, names)
 
@@ -129,25 +128,18 @@ class Loader:
         if node is None:
             names.aliases[alias.text] = FileNames(names.node, missing=True)
             if not self.complained:
-                self.report.error(
-                    "unknown-module",
-                    f"no file `{path.text}` could be read",
-                    path.span,
-                    'write the path from this file\'s folder: `use "./mine.ant" as mine`',
-                )
+                advice = 'write the path from this file\'s folder: `use "./mine.ant" as mine`'
+                self.report.error("unknown-module", f"no file `{path.text}` could be read", path.span, advice)
         elif any(node is each for each in above):
             circle = " → ".join(f"`{each.source.path}`" for each in [*above[[id(e) for e in above].index(id(node)) :], node])
-            self.report.error(
-                "circle", f"files use each other in a circle: {circle}", path.span, "put what both need into a third file"
-            )
+            message = f"files use each other in a circle: {circle}"
+            self.report.error("circle", message, path.span, "put what both need into a third file")
         elif len(above) >= limits.USE_DEPTH:
-            self.report.error(
-                "too-deep", f"files use files more than {limits.USE_DEPTH} levels deep", path.span, "use the file directly"
-            )
+            message = f"files use files more than {limits.USE_DEPTH} levels deep"
+            self.report.error("too-deep", message, path.span, "use the file directly")
         elif alias.text in names.aliases:
-            self.report.error(
-                "duplicate-name", f"two files are both named `{alias.text}`", alias.span, "give one of them another name"
-            )
+            message = f"two files are both named `{alias.text}`"
+            self.report.error("duplicate-name", message, alias.span, "give one of them another name")
         else:
             names.aliases[alias.text] = self.file(node, above)
 
@@ -177,9 +169,8 @@ def declare(declared: Declared, names: FileNames) -> None:
 def check_free(report: Report, name: nodes.Name) -> bool:
     """Whether a name may be declared; complains when it is a word of the language."""
     if name.text in _TAKEN:
-        report.error(
-            "reserved-name", f"`{name.text}` is a word of the language", name.span, f"call it otherwise, such as `my_{name.text}`"
-        )
+        message = f"`{name.text}` is a word of the language"
+        report.error("reserved-name", message, name.span, f"call it otherwise, such as `my_{name.text}`")
         return False
     return True
 
@@ -191,17 +182,12 @@ def check_free_in_species(report: Report, name: nodes.Name, value: Span) -> bool
         return check_free(report, name)
     if builtin.settable:
         text = " ".join(value.text.split())
-        report.error(
-            "reserved-name", f"`{name.text}` is built in and is set without `=`", name.span, f"write `{name.text} {text}`",
-            fix=Fix(name.span.to(value), f"{name.text} {text}"),
-        )  # fmt: skip
+        words = f"`{name.text}` is built in and is set without `=`"
+        advice = f"write `{name.text} {text}`"
+        report.error("reserved-name", words, name.span, advice, fix=Fix(name.span.to(value), f"{name.text} {text}"))
     else:
-        report.error(
-            "reserved-name",
-            f"every agent has a `{name.text}` already: {builtin.help}",
-            name.span,
-            f"call it otherwise, such as `my_{name.text}`",
-        )
+        message = f"every agent has a `{name.text}` already: {builtin.help}"
+        report.error("reserved-name", message, name.span, f"call it otherwise, such as `my_{name.text}`")
     return False
 
 
@@ -230,12 +216,8 @@ def _declare_machine(report: Report, species: SpeciesNames, name: str, states: t
         machine_names.states[state.name.text] = len(machine_names.states)
         spans[state.name.text] = state.name.span
     if len(machine_names.states) > limits.STATES:
-        report.error(
-            "too-many",
-            f"machine `{name}` has more than {limits.STATES} states",
-            states[limits.STATES].name.span,
-            "split it into several machines",
-        )
+        message = f"machine `{name}` has more than {limits.STATES} states"
+        report.error("too-many", message, states[limits.STATES].name.span, "split it into several machines")
     species.machines[name] = machine_names
 
 

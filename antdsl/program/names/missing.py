@@ -6,14 +6,14 @@ from antdsl.diagnostics import Fix
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Kind, Type
 from antdsl.program.names.scope import Scope
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KINDS_OF_THINGS, replacements
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
 # What the line begins with, by the kind that is needed, and the kinds of things that may be there.
 _LINES: dict[Kind, tuple[str, tuple[str, ...]]] = {
-    **{Kind(row.word): (row.word, row.serves) for row in KINDS_OF_THINGS.values() if row.serves},
-    Kind.PLACE: ("items", ("items", "curve", "obstacle", "solid")),
+    **{Kind(row.word): (row.word, replacements(row.word)) for row in KINDS_OF_THINGS.values() if row.scene},
+    Kind.PLACE: ("items", tuple(row.word for row in KINDS_OF_THINGS.values() if row.scene and row.nearest)),
 }
 
 

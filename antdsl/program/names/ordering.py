@@ -56,9 +56,5 @@ def _used_names(each: T, declared: Mapping[str, T], uses: Callable[[T], Iterable
 
 def _report_circle(report: Report, what: str, names: Sequence[nodes.Name]) -> None:
     text = " → ".join(f"`{name.text}`" for name in [*names, names[0]])
-    report.error(
-        "circle",
-        f"{what} follow from each other in a circle: {text}",
-        names[0].span,
-        "take one out of the circle, or make it an attribute that is set",
-    )
+    message = f"{what} follow from each other in a circle: {text}"
+    report.error("circle", message, names[0].span, "take one out of the circle, or make it an attribute that is set")

@@ -8,6 +8,7 @@ from typing import Any
 
 from antdsl.diagnostics import Label, Report
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.kinds import BAD
 from antdsl.program.memo import Memo
 from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, ThingRef, Type, WorldThing
 from antdsl.program.names.bindings import NameUse
@@ -16,15 +17,6 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 Rules = Mapping[type, Callable[["Scope", object, "Type | None"], Expr]]
-
-BAD = Type(Kind.BAD)
-NUMBER = Type(Kind.NUMBER)
-BOOL = Type(Kind.BOOL)
-PUSH = Type(Kind.VECTOR)
-VELOCITY = Type(Kind.VECTOR, Dim(length=1, time=-1))
-LENGTH = Type(Kind.NUMBER, Dim(length=1))
-TIME = Type(Kind.NUMBER, Dim(time=1))
-PER_SECOND = Type(Kind.NUMBER, Dim(time=-1))
 
 
 @dataclass(slots=True)
@@ -157,6 +149,11 @@ class Scope:
         """Return the expression with its type. `want` gives `none` and bare names their meaning; it is not enforced."""
         return self.declared.rules[type(node)](self, node, want)
 
+    def reject(self, code: str, message: str, span: Span, help: str | None = None, **details: object) -> Expr:
+        """Report an error about an expression, and return what stands for it."""
+        self.report.error(code, message, span, help, **details)
+        return bad_expression(span)
+
     def bind(self, span: Span, *key: str) -> None:
         """Record what the name at a place was resolved to. Names in an expanded behaviour are not recorded: they are not at that
         place of the text."""
@@ -266,7 +263,6 @@ def list_names(names: Iterable[str], most: int = 12) -> str:
 
 
 def report_duplicate(report: Report, what: str, name: nodes.Name, first: Span) -> None:
-    report.error(
-        "duplicate-name", f"{what} `{name.text}` is declared twice", name.span, "give one of them another name, or delete it",
-        labels=(Label(first, "first here"),),
-    )  # fmt: skip
+    message = f"{what} `{name.text}` is declared twice"
+    advice = "give one of them another name, or delete it"
+    report.error("duplicate-name", message, name.span, advice, labels=(Label(first, "first here"),))

@@ -4,7 +4,9 @@ Rows are data. The functions that lower, compute and settle are in tables of the
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,32 @@ class Builtin:
     @property
     def name(self) -> str:
         return self.called or self.op
+
+
+_SIGNATURE = re.compile(r"(?P<name>\w+)\((?P<args>.*)\) -> (?P<result>.+)")
+_ARG = re.compile(
+    r"(?P<name>\w+)(?P<variadic>…?): (?P<whole>whole )?(?P<type>[^=>?]+?)"
+    r"( > (?P<above>\S+))?( = (?P<default>.+?))?(?P<optional>\??)"
+)
+
+
+def word(signature: str, help: str, op: str = "", **details: Any) -> Builtin:
+    """Return the row of a word by its signature, as an editor shows it: `clamp(x: number A, to: range A) -> number A`.
+
+    `a…: any A` may be given several times, `to: place?` may be absent, and `most: whole number > 0 = 10` must be whole and above
+    0, and is 10 where nothing is given. `op`: its operation, if that has another name."""
+    parts = _SIGNATURE.fullmatch(signature)
+    assert parts is not None, signature
+    args = tuple(_argument(each) for each in parts["args"].split(", ") if each)
+    return Builtin(args, parts["result"], help, op or parts["name"], called=parts["name"] if op else "", **details)
+
+
+def _argument(text: str) -> Arg:
+    parts = _ARG.fullmatch(text)
+    assert parts is not None, text
+    above = None if parts["above"] is None else float(parts["above"])
+    optional, variadic, is_integer = (bool(parts[each]) for each in ("optional", "variadic", "whole"))
+    return Arg(parts["name"], parts["type"], parts["default"], optional, variadic, above, is_integer)
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 from math import pi
 
 from antdsl import limits
-from antdsl.program.tables.rows import Arg, Builtin, Cost, Part, Sense
+from antdsl.program.tables.rows import Builtin, Cost, Part, Sense, word
 
 HALF_TURN = (0.0, pi * (1 + 1e-6))  # an angle in float32 may come out a little larger than half a turn
 SHARE = (0.0, 1.0)
@@ -26,11 +26,9 @@ _ROWS = (
         (Part("hit", "b"), Part("distance"), _NORMAL),
         "nearest surface along the direction (normalised), up to reach; normal toward the agent",
         (
-            Builtin(
-                (Arg("direction", "push"), Arg("reach", "length"), Arg("on", "obstacle")),
-                "hit",
+            word(
+                "ray(direction: push, reach: length, on: obstacle) -> hit",
                 "what lies in that direction, or none",
-                "ray",
                 sense=True,
                 cost=Cost(400, "1 ray on {thing}"),
                 sample="ray(heading, reach: 20 mm, on: stones)",
@@ -55,13 +53,11 @@ _ROWS = (
         (Part("value"),),
         "the field in the agent's own cell",
         (
-            Builtin(
-                (Arg("of", "field"),),
-                "number",
+            word(
+                "field_value(of: field) -> number",
                 "its amount here",
-                "field_value",
-                "value",
-                "value",
+                part="value",
+                form="value",
                 cost=Cost(15, "{thing}", "fields"),
             ),
         ),
@@ -72,12 +68,10 @@ _ROWS = (
         (Part("value"),),
         "the field where a straight way over the surface ends: so long (first), turned to the left of the heading (second)",
         (
-            Builtin(
-                (Arg("field", "field"), Arg("ahead", "length"), Arg("turn", "angle", "0 deg")),
-                "number",
+            word(
+                "smell(field: field, ahead: length, turn: angle = 0 deg) -> number",
                 "how much there is of it where a straight way over the surface ends, turned to the left",
-                "smell",
-                "value",
+                part="value",
                 sense=True,
                 cost=Cost(300, "1 path over {thing}", "fields"),
                 sample="smell(trail, ahead: 3 mm, turn: 30 deg)",
@@ -91,22 +85,17 @@ _ROWS = (
         (Part("value"), Part("", size=3)),
         "the strongest of the nearest `count` cells; own position where there is none",
         (
-            Builtin(
-                (Arg("field", "field"), Arg("nearest", "count", "16")),
-                "number",
+            word(
+                "max(field: field, nearest: count = 16) -> number",
                 "the strongest of the nearest cells",
-                "field_max",
-                "value",
-                called="max",
+                op="field_max",
+                part="value",
                 sense=True,
                 cost=_CELLS,
             ),
-            Builtin(
-                (Arg("field", "field"), Arg("nearest", "count", "16")),
-                "position",
+            word(
+                "strongest(field: field, nearest: count = 16) -> position",
                 "where the strongest of the nearest cells lies; its own position where there is nothing",
-                "strongest",
-                "",
                 sense=True,
                 cost=_CELLS,
                 sample="direction(strongest(trail, nearest: 16))",
@@ -121,12 +110,9 @@ _ROWS = (
         (Part("", size=3),),
         "uphill, per mm",
         (
-            Builtin(
-                (Arg("field", "field"),),
-                "vector 1/length",
+            word(
+                "gradient(field: field) -> vector 1/length",
                 "uphill in the field, per unit of length",
-                "gradient",
-                "",
                 sense=True,
                 cost=Cost(60, "slope of {thing}", "fields"),
                 sample="gradient(trail) * 10 mm",
@@ -139,22 +125,17 @@ _ROWS = (
         (Part("distance"), Part("", size=3), Part("t", size=3)),
         "closest point and unit tangent",
         (
-            Builtin(
-                (Arg("on", "curve"),),
-                "position",
+            word(
+                "closest(on: curve) -> position",
                 "the nearest point of a curve",
-                "closest",
-                "",
                 sense=True,
                 cost=_CURVE,
                 sample="distance(closest(path))",
             ),
-            Builtin(
-                (Arg("on", "curve"),),
-                "push",
+            word(
+                "tangent(on: curve) -> push",
                 "the direction of the curve at its nearest point",
-                "tangent",
-                "t",
+                part="t",
                 sense=True,
                 cost=_CURVE,
                 sample="tangent(path)",
@@ -167,7 +148,7 @@ _ROWS = (
         "flow",
         (Part("", size=3),),
         "a flow at the agent's position, along its surface; no unit",
-        (Builtin((Arg("of", "flow"),), "push", "its direction here", "flow_value", "", "value", cost=Cost(30, "flow {thing}")),),
+        (word("flow_value(of: flow) -> push", "its direction here", form="value", cost=Cost(30, "flow {thing}")),),
     ),
     Sense(
         "flow.reachable",
@@ -175,11 +156,9 @@ _ROWS = (
         (Part("", "b"),),
         "whether a path leads from here to the target of a solved flow; of other flows, whether they are anything here",
         (
-            Builtin(
-                (Arg("of", "flow"),),
-                "bool",
+            word(
+                "reachable(of: flow) -> bool",
                 "a path leads from here to the target of a solved flow; of other flows: it is anything here",
-                "reachable",
                 sense=True,
                 cost=Cost(30, "flow {thing}"),
                 sample="reachable(drift)",
@@ -192,14 +171,8 @@ _ROWS = (
         (Part("value"),),
         "a painted number at the agent's position",
         (
-            Builtin(
-                (Arg("of", "map"),),
-                "number",
-                "the painted value here",
-                "map_value",
-                "value",
-                "value",
-                cost=Cost(10, "map {thing}"),
+            word(
+                "map_value(of: map) -> number", "the painted value here", part="value", form="value", cost=Cost(10, "map {thing}")
             ),
         ),
     ),
@@ -209,16 +182,10 @@ _ROWS = (
         (Part("value"),),
         "gradient noise at the agent's place and time: cell size (first), number of the pattern, seconds that a cell lasts",
         (
-            Builtin(
-                (
-                    Arg("scale", "length", above=0),
-                    Arg("seed", "number", "0", is_integer=True),
-                    Arg("period", "time", "1 s", above=0),
-                ),
-                "number",
+            word(
+                "noise(scale: length > 0, seed: whole number = 0, period: time > 0 = 1 s) -> number",
                 "a smooth function of place and time, -1 to 1 and about 0: hills `scale` apart, others after a `period`",
-                "noise",
-                "value",
+                part="value",
                 sense=True,
                 interval=(-1, 1),
                 cost=Cost(600, "noise"),
@@ -233,17 +200,10 @@ _ROWS = (
         (Part("", size=3),),
         "the velocity nearest to one (first three) by which it meets none of the nearest others: within mm, for s, so many",
         (
-            Builtin(
-                (
-                    Arg("wish", "velocity"),
-                    Arg("within", "length"),
-                    Arg("horizon", "time", "2 s", above=0),
-                    Arg("most", "number", "10", above=0, is_integer=True),
-                ),
-                "velocity",
+            word(
+                "clear_velocity(wish: velocity, within: length, horizon: time > 0 = 2 s, most: whole number > 0 = 10) "
+                "-> velocity",
                 "the velocity nearest to `wish` that avoids collisions for `horizon`, if the others do their half",
-                "clear_velocity",
-                "",
                 sense=True,
                 cost=Cost(3000, "clear velocity", within=1),
                 sample="match(clear_velocity(heading * max_speed, within: 3 m))",
@@ -257,12 +217,9 @@ _ROWS = (
         (Part("", size=3),),
         "unit way into the widest gap between the bearings of the nearest others: within mm, at most so many",
         (
-            Builtin(
-                (Arg("within", "length"), Arg("most", "number", "16", above=0, is_integer=True)),
-                "push",
+            word(
+                "widest_gap(within: length, most: whole number > 0 = 16) -> push",
                 "into the widest gap between its neighbours, length 1; nothing without any",
-                "widest_gap",
-                "",
                 sense=True,
                 cost=Cost(1500, "widest gap", within=0),
                 sample="toward(widest_gap(within: 60 mm))",
@@ -294,75 +251,57 @@ SENSES: dict[str, Sense] = {row.op: row for row in _ROWS}
 
 # Words that mean several operations, by the kind of their subject: their rules are in `antdsl.plan.lowering.rules`.
 WORDS = (
-    Builtin(
-        (Arg("to", "place"),),
-        "length",
+    word(
+        "distance(to: place) -> length",
         "distance; infinite if none",
-        "distance",
         sense=True,
         interval=POSITIVE,
         cost=_NEAR,
         sample="distance(nearest(food)) < 20 mm",
     ),
-    Builtin(
-        (Arg("of", "place"), Arg("to", "place", optional=True)),
-        "push",
+    word(
+        "direction(of: place, to: place?) -> push",
         "toward it, length 1 (or from it to another place); zero if none",
-        "direction",
         sense=True,
         cost=_NEAR,
         sample="direction(nearest(food))",
     ),
-    Builtin(
-        (Arg("of", "place"),),
-        "position",
+    word(
+        "position(of: place) -> position",
         "position of a place; its own position if none",
-        "position",
         sense=True,
         cost=_NEAR,
         sample="position(nearest(food))",
     ),
-    Builtin(
-        (Arg("of", "place"),),
-        "velocity",
+    word(
+        "velocity(of: place) -> velocity",
         "its velocity; zero if it stands still or is none",
-        "velocity",
         sense=True,
         sample="velocity(nearest(rabbit))",
     ),
-    Builtin(
-        (Arg("x", "place"),), "bool", "its body touches that thing", "touching", sense=True, cost=_NEAR, sample="touching(nest)"
-    ),
-    Builtin(
-        (Arg("from", "place"), Arg("floor", "length")),
-        "number",
+    word("touching(x: place) -> bool", "its body touches that thing", sense=True, cost=_NEAR, sample="touching(nest)"),
+    word(
+        "falloff(from: place, floor: length) -> number",
         "floor / distance, at most 1",
-        "falloff",
         sense=True,
         interval=SHARE,
         sample="falloff(nearest(food), floor: size)",
     ),
-    Builtin(
-        (Arg("velocity", "velocity"),),
-        "push",
+    word(
+        "match(velocity: velocity) -> push",
         "the push that reaches a velocity in this step, at most 1: (velocity - own) * mass / (max_force * dt)",
-        "match",
         sense=True,
         sample="match(heading * 10 mm/s)",
     ),
-    Builtin(
-        (),
-        "angle",
+    word(
+        "slope() -> angle",
         "angle between the ground and the horizontal",
-        "slope",
         form="name",
         sense=True,
         interval=HALF_TURN,
         sample="when slope > 30 deg -> rest",
     ),
-    Builtin(
-        (), "push", "the world's up, laid along the ground", "uphill", form="name", sense=True, sample="steer toward(uphill)"
-    ),
+    word("uphill() -> push", "the world's up, laid along the ground", form="name", sense=True, sample="steer toward(uphill)"),
 )
 
 
@@ -370,11 +309,3 @@ def find_words(how: str) -> tuple[Builtin, ...]:
     """Return the words of senses with one syntax: by a `call`, by a bare `name`, or as the `value` of a thing."""
     every = (*(word for sense in _ROWS for word in sense.words), *WORDS)
     return tuple(word for word in every if word.form == how)
-
-
-def sense_of(op: str) -> Sense | None:
-    """Return the sense that an operation of the typed tree reads, or None if it is not one of its words."""
-    return _SENSES_BY_OP.get(op)
-
-
-_SENSES_BY_OP = {word.op: sense for sense in _ROWS for word in sense.words}

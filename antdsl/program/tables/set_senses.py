@@ -2,23 +2,14 @@
 
 from __future__ import annotations
 
-from antdsl.program.tables.rows import Arg, Builtin, Cost, SetSense
-
-_WITHIN, _WITH = Arg("within", "length", optional=True), Arg("with", "condition", optional=True)
-_MOST = Arg("most", "number", optional=True)  # so many count, the nearest
-
-
-def _set_builtin(op: str, args: tuple[Arg, ...], help: str, result: str = "set") -> Builtin:
-    return Builtin(args, result, help, op)
-
+from antdsl.program.tables.rows import Cost, SetSense, word
 
 _SET_ROWS = (
     SetSense(
         "neighbours",
         (
-            _set_builtin(
-                "neighbours",
-                (Arg("radius", "length"), Arg("fov", "angle", "360 deg"), Arg("of", "species", optional=True), _MOST),
+            word(
+                "neighbours(radius: length, fov: angle = 360 deg, of: species?, most: number?) -> set",
                 "others of the same species (or of another) near it and in its field of view",
             ),
         ),
@@ -29,8 +20,8 @@ _SET_ROWS = (
     SetSense(
         "all",
         (
-            _set_builtin("all", (Arg("of", "items"), _WITHIN, _WITH, _MOST), "items or agents"),
-            _set_builtin("all", (Arg("of", "species"), _WITHIN, _WITH, _MOST), "agents"),
+            word("all(of: items, within: length?, with: condition?, most: number?) -> set", "items or agents"),
+            word("all(of: species, within: length?, with: condition?, most: number?) -> set", "agents"),
         ),
         ("set.items", "set.every", "set.agents"),
         Cost(100, "all {thing}", within=0),
@@ -39,9 +30,8 @@ _SET_ROWS = (
     SetSense(
         "feelers",
         (
-            _set_builtin(
-                "feelers",
-                (Arg("on", "obstacle"), Arg("count", "count", "3"), Arg("spread", "angle", "35 deg"), Arg("reach", "length")),
+            word(
+                "feelers(on: obstacle, count: count = 3, spread: angle = 35 deg, reach: length) -> set",
                 "hits of rays along the velocity, spread evenly up to `spread` to either side about the up axis",
             ),
         ),
@@ -52,9 +42,9 @@ _SET_ROWS = (
     SetSense(
         "nearest",
         (
-            _set_builtin("nearest", (Arg("of", "items"), _WITHIN, _WITH), "the nearest, or none", "item"),
-            _set_builtin("nearest", (Arg("of", "species"), _WITHIN, _WITH), "the nearest, or none", "agent"),
-            _set_builtin("nearest", (Arg("of", "set"),), "the nearest of a set, or none", "any"),
+            word("nearest(of: items, within: length?, with: condition?) -> item", "the nearest, or none"),
+            word("nearest(of: species, within: length?, with: condition?) -> agent", "the nearest, or none"),
+            word("nearest(of: set) -> any", "the nearest of a set, or none"),
         ),
         (),  # the nearest of one of the sets above
         None,

@@ -1,106 +1,90 @@
-"""The kinds of things of the world, one row each. Type words, message texts for programs and scenes, the plan's lists and the
-editor's help come from them."""
+"""The kinds of things of the world, one row each. Type words, checks, lowering, message texts for programs and scenes, the plan's
+lists and the editor's help come from them. The class that reads a kind from a scene is in `antdsl.scene.kinds`."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 
 @dataclass(frozen=True, slots=True)
 class KindOfThing:
-    """`word`: as `world { … }` declares it. `called`: in messages, where "a" and the word are not enough. `serves`: kinds of
-    things that may replace this one. `typed`: what it is as the type of an argument; "" if it is no type word. In a scene it is
-    `scene_form` as such, in messages `scene`, in an editor `snippet`."""
+    """`word`: as `world { … }` declares it. `called`: in messages, where "a" and the word are not enough. `replaces`: kinds of
+    arguments that it may replace. `typed`: what it is as the type of an argument; "" if it is no type word. In a scene it is
+    `scene_form` as such, in messages `scene`, in an editor `snippet`.
+
+    `nearest`: the operation of the plan that finds its nearest point, "" if it has no position; `touching`: the one that says
+    whether agents touch it, if another one does. `has_values`: each of them has attributes. `is_ground`: agents walk on it.
+    `blocks`: agents cannot walk through it. `is_dug`: agents change its shape, and its total is a volume. `look`: in pictures, of
+    meshes without a look of their own."""
 
     word: str
     help: str
     sample: str
     called: str = ""
-    serves: tuple[str, ...] = ()
+    replaces: tuple[str, ...] = ()
     typed: str = ""
     scene_form: str = ""
     scene: str = ""
     snippet: str = ""
+    nearest: str = ""
+    touching: str = ""
+    has_values: bool = False
+    is_ground: bool = False
+    blocks: bool = False
+    is_dug: bool = False
+    look: Literal["ground", "stone"] = "ground"
+
+    @property
+    def has_faces(self) -> bool:
+        """Return whether it is made of triangles or voxels that agents can sense."""
+        return self.nearest == "obstacle.near"
 
 
 _ROWS = (
     KindOfThing(
-        "surface",
-        "ground that agents walk on",
-        "world { surface floor }",
-        called="a surface",
-        serves=("surface",),
-        typed="the name of a surface",
-        scene_form="a mesh",
-        scene="{mesh: ground.ply}",
-        snippet="{mesh: ${1:ground.ply}}",
+        "surface", "ground that agents walk on", "world { surface floor }", called="a surface", typed="the name of a surface",
+        replaces=("obstacle",), nearest="obstacle.near", touching="surface.touching", is_ground=True,
+        scene_form="a mesh", scene="{mesh: ground.ply}", snippet="{mesh: ${1:ground.ply}}",
     ),
     KindOfThing(
-        "obstacle",
-        "what stands in the way, and is gone round",
-        "world { obstacle chairs }",
-        called="an obstacle",
-        serves=("obstacle", "surface", "solid"),
-        typed="an obstacle, a surface or a solid by its name",
-        scene_form="a mesh",
-        scene="{mesh: stones.ply}",
-        snippet="{mesh: ${1:stones.ply}}",
+        "obstacle", "what stands in the way, and is gone round", "world { obstacle chairs }", called="an obstacle",
+        typed="an obstacle, a surface or a solid by its name", nearest="obstacle.near", blocks=True, look="stone",
+        scene_form="a mesh", scene="{mesh: stones.ply}", snippet="{mesh: ${1:stones.ply}}",
     ),
     KindOfThing(
-        "solid",
-        "soft ground that may be dug",
-        "world { solid sand }",
-        called="a solid",
-        serves=("solid",),
-        scene_form="a mesh",
-        scene="{mesh: hill.ply, voxel: 1 mm}",
-        snippet="{mesh: ${1:hill.ply}, voxel: ${2:1 mm}}",
+        "solid", "soft ground that may be dug", "world { solid sand }", called="a solid",
+        replaces=("obstacle",), nearest="obstacle.near", is_ground=True, is_dug=True,
+        scene_form="a mesh", scene="{mesh: hill.ply, voxel: 1 mm}", snippet="{mesh: ${1:hill.ply}, voxel: ${2:1 mm}}",
     ),
     KindOfThing(
-        "items",
-        "things that are placed, each with its own values",
-        "world { items fruit { load = 0 } }",
-        serves=("items",),
-        typed="all items with a name",
-        scene_form="items",
-        scene="{one: {at: [0, 0, 0]}}",
-        snippet="{${1:one}: {at: [${2:0}, 0, ${3:0}]}}",
+        "items", "things that are placed, each with its own values", "world { items fruit { load = 0 } }",
+        typed="all items with a name", nearest="set.items", has_values=True,
+        scene_form="items", scene="{one: {at: [0, 0, 0]}}", snippet="{${1:one}: {at: [${2:0}, 0, ${3:0}]}}",
     ),
     KindOfThing(
-        "curve",
-        "a line drawn in space",
-        "world { curve path }",
-        called="a curve",
-        serves=("curve",),
-        typed="the name of a curve",
-        scene_form="a curve",
-        scene="{curve: way.json}",
-        snippet="{curve: ${1:way.json}}",
+        "curve", "a line drawn in space", "world { curve path }", called="a curve", typed="the name of a curve",
+        nearest="curve.closest", scene_form="a curve", scene="{curve: way.json}", snippet="{curve: ${1:way.json}}",
     ),
     KindOfThing(
-        "flow",
-        "directions along the ground",
-        "world { flow drift }",
-        called="a flow",
-        serves=("flow",),
-        typed="the name of a flow",
-        scene_form="a flow",
-        scene="{toward: [0, 0, 0], radius: 50 mm}",
-        snippet="{toward: ${1:nest}, radius: ${2:50 mm}}",
+        "flow", "directions along the ground", "world { flow drift }", called="a flow", typed="the name of a flow",
+        scene_form="a flow", scene="{toward: [0, 0, 0], radius: 50 mm}", snippet="{toward: ${1:nest}, radius: ${2:50 mm}}",
     ),
     KindOfThing(
-        "map",
-        "numbers painted on the ground",
-        "world { map damp }",
-        called="a map",
-        serves=("map",),
-        typed="the name of a map",
-        scene_form="a map",
-        scene="{painted: ground.ply, attribute: NAME}",
+        "map", "numbers painted on the ground", "world { map damp }", called="a map", typed="the name of a map",
+        scene_form="a map", scene="{painted: ground.ply, attribute: NAME}",
         snippet="{painted: ${1:ground.ply}, attribute: ${2:damp}}",
     ),
     KindOfThing(
-        "species", "agents that another file describes", "world { species beetle { hunger = 0 } }", typed="the name of a species"
+        "species", "agents that another file describes", "world { species beetle { hunger = 0 } }",
+        typed="the name of a species", nearest="set.every", has_values=True,
     ),
-)
+)  # fmt: skip
 KINDS_OF_THINGS: dict[str, KindOfThing] = {row.word: row for row in _ROWS}
+WITH_FACES = tuple(row.word for row in _ROWS if row.has_faces)
+BLOCKING = tuple(row.word for row in _ROWS if row.blocks)
+
+
+def replacements(kind: str) -> tuple[str, ...]:
+    """Return the kinds of things that can be an argument of a kind: the kind itself first."""
+    return (kind, *(row.word for row in _ROWS if kind in row.replaces))

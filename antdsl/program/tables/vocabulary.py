@@ -5,12 +5,13 @@ operation, add one row here and one rule in `plan/lowering/rules`; senses are ro
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from math import pi
 
 from antdsl.program.model import Dim, Kind
 from antdsl.program.tables import senses, set_senses
-from antdsl.program.tables.rows import Arg, Builtin, Cost
+from antdsl.program.tables.rows import Builtin, Cost, word
 from antdsl.program.tables.things import KINDS_OF_THINGS
 
 LENGTH, TIME, MASS, ANGLE = Dim(length=1), Dim(time=1), Dim(mass=1), Dim(angle=1)
@@ -114,135 +115,62 @@ ITEM_ATTRIBUTES: dict[str, str] = {"position": "position", "radius": "length"}
 HIT_ATTRIBUTES: dict[str, str] = {"distance": "length", "normal": "push", "position": "position"}
 
 
-def _builtin(
-    op: str, args: list[Arg], result: str, help: str, interval: tuple[float, float] | None = None, draws: bool = False
-) -> Builtin:
-    return Builtin(tuple(args), result, help, op, interval=interval, draws=draws, cost=_DRAW if draws else None)
-
-
 _DRAW = Cost(60, "{word}", "draws")
 
 
 # What is no sense: a function of its arguments, or a draw.
-_PLAIN: dict[str, tuple[Builtin, ...]] = {
-    "abs": (_builtin("abs", [Arg("x", "number A")], "number A", "absolute value"),),
-    "clamp": (_builtin("clamp", [Arg("x", "number A"), Arg("to", "range A")], "number A", "limited to a range"),),
-    "floor": (_builtin("floor", [Arg("x", "number")], "number", "rounded down"),),
-    "sqrt": (
-        _builtin(
-            "sqrt", [Arg("x", "number A")], "number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE
-        ),
+_PLAIN = (
+    word("abs(x: number A) -> number A", "absolute value"),
+    word("clamp(x: number A, to: range A) -> number A", "limited to a range"),
+    word("floor(x: number) -> number", "rounded down"),
+    word("sqrt(x: number A) -> number sqrt A", "square root; its dimension is halved", interval=senses.POSITIVE),
+    word("sin(x: angle) -> number", "sine", interval=(-1, 1)),
+    word("cos(x: angle) -> number", "cosine", interval=(-1, 1)),
+    word("exp(x: number) -> number", "e to the x", interval=senses.POSITIVE),
+    word("log(x: number) -> number", "natural logarithm"),
+    word(
+        "ramp(x: number A, from: range A, to: range B = 0 .. 1) -> number B",
+        "maps one range to another in a straight line, and stays inside it",
     ),
-    "sin": (_builtin("sin", [Arg("x", "angle")], "number", "sine", interval=(-1, 1)),),
-    "cos": (_builtin("cos", [Arg("x", "angle")], "number", "cosine", interval=(-1, 1)),),
-    "exp": (_builtin("exp", [Arg("x", "number")], "number", "e to the x", interval=senses.POSITIVE),),
-    "log": (_builtin("log", [Arg("x", "number")], "number", "natural logarithm"),),
-    "ramp": (
-        _builtin(
-            "ramp",
-            [Arg("x", "number A"), Arg("from", "range A"), Arg("to", "range B", "0 .. 1")],
-            "number B",
-            "maps one range to another in a straight line, and stays inside it",
-        ),
+    word("mix(a: number A, b: number A, t: number) -> number A", "a at t = 0, b at t = 1"),
+    word("mix(a: vector A, b: vector A, t: number) -> vector A", "a at t = 0, b at t = 1"),
+    word("min(a: number A, b: number A) -> number A", "the lesser"),
+    word("max(a: number A, b: number A) -> number A", "the greater"),
+    word("length(v: vector A) -> number A", "length of a vector", interval=senses.POSITIVE),
+    word("unit(v: vector A) -> push", "the same direction, length 1; zero stays zero"),
+    word("dot(a: vector A, b: vector B) -> number A*B", "scalar product"),
+    word("cross(a: vector A, b: vector B) -> vector A*B", "vector product"),
+    word("angle(a: vector A, b: vector B) -> angle", "angle between two directions, 0 to half a turn", interval=senses.HALF_TURN),
+    word("rotate(v: vector A, about: push, by: angle) -> vector A", "turned about an axis"),
+    word("project(v: vector A, onto: push) -> vector A", "the component of v along a direction"),
+    word("limit(v: vector A, max: number A) -> vector A", "shortened to a length if longer"),
+    word("vector(x: number A, y: number A, z: number A) -> vector A", "from three numbers, in the scene's axes"),
+    word("first(a…: any A) -> any A", "the first that is not none"),
+    word("uniform(low: number A, high: number A) -> number A", "a uniform random number between two", draws=True, cost=_DRAW),
+    word("normal(mean: number A, deviation: number A) -> number A", "a random number around a mean", draws=True, cost=_DRAW),
+    word("pick(a…: any A) -> any A", "one of these, equally likely", draws=True, cost=_DRAW),
+    word(
+        "random(of: species) -> agent",
+        "one living agent of a species, all equally likely",
+        op="random_agent",
+        draws=True,
+        cost=_DRAW,
     ),
-    "mix": (
-        _builtin("mix", [Arg("a", "number A"), Arg("b", "number A"), Arg("t", "number")], "number A", "a at t = 0, b at t = 1"),
-        _builtin("mix", [Arg("a", "vector A"), Arg("b", "vector A"), Arg("t", "number")], "vector A", "a at t = 0, b at t = 1"),
-    ),
-    "min": (_builtin("min", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the lesser"),),
-    "max": (_builtin("max", [Arg("a", "number A"), Arg("b", "number A")], "number A", "the greater"),),
-    "length": (_builtin("length", [Arg("v", "vector A")], "number A", "length of a vector", interval=senses.POSITIVE),),
-    "unit": (_builtin("unit", [Arg("v", "vector A")], "push", "the same direction, length 1; zero stays zero"),),
-    "dot": (_builtin("dot", [Arg("a", "vector A"), Arg("b", "vector B")], "number A*B", "scalar product"),),
-    "cross": (_builtin("cross", [Arg("a", "vector A"), Arg("b", "vector B")], "vector A*B", "vector product"),),
-    "angle": (
-        _builtin(
-            "angle",
-            [Arg("a", "vector A"), Arg("b", "vector B")],
-            "angle",
-            "angle between two directions, 0 to half a turn",
-            interval=senses.HALF_TURN,
-        ),
-    ),
-    "rotate": (
-        _builtin("rotate", [Arg("v", "vector A"), Arg("about", "push"), Arg("by", "angle")], "vector A", "turned about an axis"),
-    ),
-    "project": (
-        _builtin("project", [Arg("v", "vector A"), Arg("onto", "push")], "vector A", "the component of v along a direction"),
-    ),
-    "limit": (_builtin("limit", [Arg("v", "vector A"), Arg("max", "number A")], "vector A", "shortened to a length if longer"),),
-    "vector": (
-        _builtin(
-            "vector",
-            [Arg("x", "number A"), Arg("y", "number A"), Arg("z", "number A")],
-            "vector A",
-            "from three numbers, in the scene's axes",
-        ),
-    ),
-    "first": (_builtin("first", [Arg("a", "any A", variadic=True)], "any A", "the first that is not none"),),
-    "uniform": (
-        _builtin(
-            "uniform",
-            [Arg("low", "number A"), Arg("high", "number A")],
-            "number A",
-            "a uniform random number between two",
-            draws=True,
-        ),
-    ),
-    "normal": (
-        _builtin(
-            "normal",
-            [Arg("mean", "number A"), Arg("deviation", "number A")],
-            "number A",
-            "a random number around a mean",
-            draws=True,
-        ),
-    ),
-    "pick": (_builtin("pick", [Arg("a", "any A", variadic=True)], "any A", "one of these, equally likely", draws=True),),
-    "random": (
-        _builtin(
-            "random_agent", [Arg("of", "species")], "agent", "one living agent of a species, all equally likely", draws=True
-        ),
-    ),
-    "rising": (
-        _builtin(
-            "rising",
-            [Arg("x", "number A"), Arg("over", "range A")],
-            "number",
-            "0 below, 1 above, linear between",
-            interval=senses.SHARE,
-        ),
-    ),
-    "falling": (
-        _builtin(
-            "falling",
-            [Arg("x", "number A"), Arg("over", "range A")],
-            "number",
-            "1 below, 0 above, linear between",
-            interval=senses.SHARE,
-        ),
-    ),
-    "around": (
-        _builtin(
-            "around",
-            [Arg("x", "number A"), Arg("over", "range A")],
-            "number",
-            "1 in the middle of the range, 0 outside",
-            interval=senses.SHARE,
-        ),
-    ),
-}
+    word("rising(x: number A, over: range A) -> number", "0 below, 1 above, linear between", interval=senses.SHARE),
+    word("falling(x: number A, over: range A) -> number", "1 below, 0 above, linear between", interval=senses.SHARE),
+    word("around(x: number A, over: range A) -> number", "1 in the middle of the range, 0 outside", interval=senses.SHARE),
+)
 
 
-def _add_senses(plain: dict[str, tuple[Builtin, ...]]) -> dict[str, tuple[Builtin, ...]]:
-    operations = dict(plain)
-    for row in senses.find_words("call"):
-        operations[row.name] = (*operations.get(row.name, ()), row)
-    return operations | {row.op: row.rows for row in set_senses.SET_SENSES.values()}
+def _by_name(rows: Iterable[Builtin]) -> dict[str, tuple[Builtin, ...]]:
+    table: dict[str, tuple[Builtin, ...]] = {}
+    for row in rows:
+        table[row.name] = (*table.get(row.name, ()), row)
+    return table
 
 
 # Called as functions. Names with several rows are distinguished by the first argument's type; the first row that fits wins.
-BUILTINS: dict[str, tuple[Builtin, ...]] = _add_senses(_PLAIN)
+BUILTINS = _by_name((*_PLAIN, *senses.find_words("call"))) | {row.op: row.rows for row in set_senses.SET_SENSES.values()}
 
 # Senses as other tools and everyday words call them, and what to write here instead.
 _OTHER_SENSES = (

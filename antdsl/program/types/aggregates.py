@@ -8,19 +8,11 @@ from dataclasses import replace
 from typing import cast
 
 from antdsl.program.expectations import GEOMETRY, MOTION, Aggregate, AtStart, BodyMeasure, CellValue, MotionMeasure, OtherRun
+from antdsl.program.kinds import BOOL, NUMBER
 from antdsl.program.model import Binding, BindingRef, Dim, Expr, Kind, ParamRef, Rate, Reduce, ThingRef, Type
-from antdsl.program.names.scope import (
-    BOOL,
-    NUMBER,
-    Declared,
-    Scope,
-    attributes_of,
-    bad_expression,
-    did_you_mean,
-    list_names,
-    type_from_words,
-)
+from antdsl.program.names.scope import Declared, Scope, attributes_of, bad_expression, did_you_mean, list_names, type_from_words
 from antdsl.program.tables.set_senses import GIVES_SET
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.program.tables.vocabulary import BUILTIN_ATTRIBUTES, SENSED_NAMES
 from antdsl.program.traverse import written_nodes
 from antdsl.program.types import calls, expressions, operators
@@ -63,13 +55,9 @@ class SpecRules:
             if self.other is not None:
                 return self.compared[name](scope, self.other, node.span)
             when = "was" if name == "at_start" else "is in the other run"
-            scope.report.error(
-                "at-start-alone",
-                f"`{name}` is what the other side of a comparison {when}, and there is none",
-                node.span,
-                f"write `total(food.load) == {name}`, or `{name}(total(food.load))`",
-            )
-            return bad_expression(node.span)
+            message = f"`{name}` is what the other side of a comparison {when}, and there is none"
+            advice = f"write `total(food.load) == {name}`, or `{name}(total(food.load))`"
+            return scope.reject("at-start-alone", message, node.span, advice)
         species = scope.species
         if name in GEOMETRY and species is not None and name not in {*species.attributes, *species.params, *species.bindings}:
             return BodyMeasure(type_from_words(GEOMETRY[name]) or NUMBER, Rate.AGENT, node.span, name)
@@ -78,15 +66,12 @@ class SpecRules:
     def _at_start(self, scope: Scope, expr: Expr, span: Span) -> Expr:
         if self.inside:
             message = "`at_start` cannot be inside an expression that is computed for each agent"
-            scope.report.error("set-in-set", message, span, "write `at_start(total(food.load))`")
-            return bad_expression(span)
+            return scope.reject("set-in-set", message, span, "write `at_start(total(food.load))`")
         if expr.type.kind is Kind.BAD:
             return bad_expression(span)
         if expr.type.kind is not Kind.NUMBER:
-            scope.report.error(
-                "wrong-kind", f"`at_start` is for numbers, and this is {type_words(expr.type)}", span, "compare numbers"
-            )
-            return bad_expression(span)
+            words = f"`at_start` is for numbers, and this is {type_words(expr.type)}"
+            return scope.reject("wrong-kind", words, span, "compare numbers")
         return AtStart(expr.type, expr.rate, span, expr)
 
     def _other_run(self, scope: Scope, expr: Expr, span: Span) -> Expr:
@@ -94,11 +79,9 @@ class SpecRules:
         if expr.type.kind is Kind.BAD:
             return bad_expression(span)
         if self.inside or scope.species is not None or expr.type.kind is not Kind.NUMBER or expr.rate > Rate.STEP:
-            scope.report.error(
-                "wrong-rate", "`other` is a number of the whole in another run, where no agent is named", span,
-                "write it in a line of the spec itself: `always: total(nest.load) >= other`",
-            )  # fmt: skip
-            return bad_expression(span)
+            message = "`other` is a number of the whole in another run, where no agent is named"
+            advice = "write it in a line of the spec itself: `always: total(nest.load) >= other`"
+            return scope.reject("wrong-rate", message, span, advice)
         return OtherRun(expr.type, Rate.STEP, span, expr)
 
     def _member(self, scope: Scope, node: nodes.Member, want: Type | None) -> Expr:
@@ -133,12 +116,11 @@ class SpecRules:
         scope.bind(node.owner.span, "field", field)
         if self.cells == field:
             return CellValue(NUMBER, Rate.ELEMENT, node.span, field)
-        scope.report.error(
+        return scope.reject(
             "wrong-rate", f"`{field}.value` needs a cell", node.span,
             f"use a value of all cells: `max({field}.value)`, `share({field}.value > 0)`; "
             f"at an agent's position, write `{field}` alone",
         )  # fmt: skip
-        return bad_expression(node.span)
 
     def _reports_unnamed_agent(self, scope: Scope, owner: str, node: nodes.Member) -> bool:
         """Return whether `forager.load` names no single forager; report an error then."""
@@ -153,10 +135,8 @@ class SpecRules:
         scope.bind_value(node.name.span, type, name)
         who = "agent" if kind is Kind.SPECIES else "item"
         also = f", or test each agent: `each {owner} {{ always: {name} … }}`" if kind is Kind.SPECIES else ""
-        scope.report.error(
-            "wrong-rate", f"`{name}` is a value of one {who}, but `{owner}` is all of them", node.span,
-            f"use a value of all: `total({owner}.{name})`, `share({owner}.{name} …)`{also}",
-        )  # fmt: skip
+        advice = f"use a value of all: `total({owner}.{name})`, `share({owner}.{name} …)`{also}"
+        scope.report.error("wrong-rate", f"`{name}` is a value of one {who}, but `{owner}` is all of them", node.span, advice)
         return True
 
     def _motion(self, scope: Scope, node: nodes.Member) -> Expr:
@@ -229,11 +209,11 @@ class SpecRules:
             scope.mark_used("field", bare)
             scope.bind(operand.owner.span if isinstance(operand, nodes.Member) else operand.span, "field", bare)
             return Aggregate(NUMBER, Rate.STEP, node.span, how, Type(Kind.FIELD, of=bare), (), None, None)
-        solid = scope.declared.things.get(bare)
-        if solid is not None and solid.kind == "solid" and name == "total":
+        thing = scope.declared.things.get(bare)
+        if thing is not None and KINDS_OF_THINGS[thing.kind].is_dug and name == "total":
             scope.mark_used("thing", bare)
             scope.bind(operand.span, "thing", bare)
-            return Aggregate(_VOLUME, Rate.STEP, node.span, how, Type(Kind.SOLID, of=bare), (), None, None)
+            return Aggregate(_VOLUME, Rate.STEP, node.span, how, Type(Kind(thing.kind), of=bare), (), None, None)
         over = Type(Kind.FIELD, of=field) if field else _subject(scope, node, operand)
         if over is None:
             return bad_expression(node.span)
@@ -258,17 +238,13 @@ class SpecRules:
     def _report_no_sum(scope: Scope, node: nodes.Call, field: str) -> Expr:
         words = f"{quote_source(node.span)} works something out for each cell of `{field}`"
         known = f"write `{node.function.span.text}({field}.value)`, or `count({field}.value > 0)` or similar"
-        scope.report.error("wrong-argument", words, node.span, known)
-        return bad_expression(node.span)
+        return scope.reject("wrong-argument", words, node.span, known)
 
     @staticmethod
     def _report_no_value(scope: Scope, node: nodes.Call, who: str) -> Expr:
         value = f"{who}.{'size' if who in scope.declared.species else 'radius'}"
-        scope.report.error(
-            "wrong-argument", f"{quote_source(node.span)} does not say which value of `{who}`", node.span,
-            f"name one, such as `{value}`, or write `count({who})` for how many there are",
-        )  # fmt: skip
-        return bad_expression(node.span)
+        advice = f"name one, such as `{value}`, or write `count({who})` for how many there are"
+        return scope.reject("wrong-argument", f"{quote_source(node.span)} does not say which value of `{who}`", node.span, advice)
 
     @staticmethod
     def _report_vector(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Expr:
@@ -284,13 +260,9 @@ class SpecRules:
             return bad_expression(reduction.span)
         is_complete_set = over.source == "all" and all(arg is None for arg in over.args)
         if not is_complete_set or reduction.how in ("best", "nearest") or reduction.type.kind not in (Kind.NUMBER, Kind.BOOL):
-            scope.report.error(
-                "wrong-rate",
-                f"{quote_source(reduction.span)} needs an agent, but none is named",
-                reduction.span,
-                "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all",
-            )
-            return bad_expression(reduction.span)
+            message = f"{quote_source(reduction.span)} needs an agent, but none is named"
+            advice = "ask it in `each SPECIES { … }`, or ask for a `total`, `share`, `mean`, `min`, `max` or `count` of all"
+            return scope.reject("wrong-rate", message, reduction.span, advice)
         kind = Kind.ITEMS if over.element.type.kind is Kind.ITEM else Kind.SPECIES
         body = reduction.body if reduction.how != "count" or reduction.body is None or reduction.body.rate > Rate.CONST else None
         how = "total" if reduction.how == "sum" else reduction.how
@@ -345,12 +317,8 @@ def _subject(scope: Scope, node: nodes.Call, operand: nodes.Expr) -> Type | None
         return Type(kind, of=things[0])
     if len(things) > 1:
         parts = " and ".join(f"`{name}`" for name in things)
-        scope.report.error(
-            "wrong-argument",
-            f"{quote_source(node.span)} asks of {parts} at once",
-            node.span,
-            "use each one separately, and add the results",
-        )
+        message = f"{quote_source(node.span)} asks of {parts} at once"
+        scope.report.error("wrong-argument", message, node.span, "use each one separately, and add the results")
         return None
     if scope.species is not None:
         return Type(Kind.SPECIES, of=scope.species.name)

@@ -11,13 +11,12 @@ from itertools import pairwise
 from antdsl.diagnostics import Fix, Label
 from antdsl.diagnostics.suggestion import nearest_name
 from antdsl.program.model import Binding, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
-from antdsl.program.names.scope import Scope, bad_expression, list_names
-from antdsl.program.types.descriptions import quote_source, report_mismatch
+from antdsl.program.names.scope import Scope, list_names
+from antdsl.program.types.descriptions import PLACE_KINDS, quote_source, report_mismatch
 from antdsl.source import Span
 from antdsl.syntax import nodes
 from antdsl.syntax.mistakes.number_slips import comma_diagnostic, find_comma_number
 
-PLACE_KINDS = frozenset({Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.CURVE, Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.PLACE})
 Called = nodes.Call | nodes.Ask
 ArgumentsBySlot = dict[str, list[nodes.Argument]]
 
@@ -38,12 +37,8 @@ def arrange_arguments(scope: Scope, called: str, slots: Sequence[Slot], node: Ca
     form = form or called
     for argument in node.arguments:
         if isinstance(argument, nodes.Comprehension):
-            scope.report.error(
-                "wrong-argument",
-                f"`{called}` cannot take `… in …: …`",
-                argument.span,
-                "that is for `sum mean min max count any every best`",
-            )
+            message = f"`{called}` cannot take `… in …: …`"
+            scope.report.error("wrong-argument", message, argument.span, "that is for `sum mean min max count any every best`")
             return None
     arguments = [each for each in node.arguments if isinstance(each, nodes.Argument)]
     comma = _decimal_comma(slots, arguments)
@@ -72,9 +67,8 @@ def arrange_arguments(scope: Scope, called: str, slots: Sequence[Slot], node: Ca
         return None
     missing = [slot.name for slot in slots if slot.required and slot.name not in arguments_by_slot]
     if missing and sound:
-        scope.report.error(
-            "missing-argument", f"`{called}` wants {list_names(missing)}", node.span, f"write `{_call_text(form, slots)}`"
-        )
+        words = f"`{called}` wants {list_names(missing)}"
+        scope.report.error("missing-argument", words, node.span, f"write `{_call_text(form, slots)}`")
     return None if missing or not sound else arguments_by_slot
 
 
@@ -87,23 +81,14 @@ def _add_named(
         near = nearest_name(name.text, names)
         advice = f"did you mean `{near}`?" if near else f"it takes {list_names(names)}" if names else "it takes none"
         span = Span(name.span.source, name.span.start, name.span.start + len(name.text))
-        scope.report.error(
-            "unknown-argument",
-            f"`{called}` has no argument `{name.text}`",
-            name.span,
-            advice,
-            fix=Fix(span, near) if near else None,
-        )
+        message = f"`{called}` has no argument `{name.text}`"
+        scope.report.error("unknown-argument", message, name.span, advice, fix=Fix(span, near) if near else None)
         return False
     if name.text in arguments_by_slot:
         first = arguments_by_slot[name.text][0].span
-        scope.report.error(
-            "duplicate-argument",
-            f"`{name.text}` is given twice",
-            argument.span,
-            "leave one of them out",
-            labels=(Label(first, "first here"),),
-        )
+        message = f"`{name.text}` is given twice"
+        hint = "leave one of them out"
+        scope.report.error("duplicate-argument", message, argument.span, hint, labels=(Label(first, "first here"),))
         return False
     arguments_by_slot[name.text] = [argument]
     return True
@@ -142,13 +127,9 @@ def _report_late_positions(scope: Scope, first: nodes.Name, late: Sequence[tuple
         text += f"{span.source.text[copied_end : argument.span.start]}{slot}: "
         copied_end = argument.span.start
     text += span.source.text[copied_end : span.end]
-    scope.report.error(
-        "argument-order",
-        f"{quote_source(late[0][0].span)} has no name and stands behind `{first.text}:`, which has one",
-        late[0][0].span,
-        f"say which it is: `{' '.join(text.split())}`, or write it before the first with a name",
-        fix=Fix(span, text),
-    )
+    message = f"{quote_source(late[0][0].span)} has no name and stands behind `{first.text}:`, which has one"
+    advice = f"say which it is: `{' '.join(text.split())}`, or write it before the first with a name"
+    scope.report.error("argument-order", message, late[0][0].span, advice, fix=Fix(span, text))
 
 
 def _decimal_comma(slots: Sequence[Slot], arguments: Sequence[nodes.Argument]) -> Span | None:
@@ -243,12 +224,11 @@ def _is_valid_count(slots: Sequence[Slot], forms: Sequence[_ArgumentForm] | None
 def place(scope: Scope, node: nodes.Expr, who: str) -> Expr:
     """An expression as a place."""
     expr = scope.type_expression(node, Type(Kind.PLACE))
-    if expr.type.kind in PLACE_KINDS or expr.type.kind is Kind.BAD or expr.type == Type(Kind.VECTOR, Dim(length=1)):
-        return expr
     if expr.type.kind in (Kind.ITEMS, Kind.SPECIES):
         return nearest_of(expr, node.span)
-    report_mismatch(scope.report, node, expr.type, Type(Kind.PLACE), who)
-    return bad_expression(node.span)
+    if expr.type.kind in PLACE_KINDS or expr.type.kind is Kind.BAD or expr.type == Type(Kind.VECTOR, Dim(length=1)):
+        return expr
+    return report_mismatch(scope.report, node, expr.type, Type(Kind.PLACE), who)
 
 
 def element_type(things: Type) -> Type:

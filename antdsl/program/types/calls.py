@@ -7,21 +7,15 @@ from typing import cast
 
 from antdsl.diagnostics import Fix
 from antdsl.program.declarations.behaviours import call_behaviour
+from antdsl.program.kinds import BAD, NUMBER
 from antdsl.program.model import Dim, Expr, Kind, Op, Rate, Type
-from antdsl.program.names.scope import BAD, NUMBER, Scope, bad_expression, did_you_mean, rate_of, type_from_words
+from antdsl.program.names.scope import Scope, bad_expression, did_you_mean, rate_of, type_from_words
+from antdsl.program.tables import vocabulary
 from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.other_words import call_replacement
 from antdsl.program.tables.rows import Arg, Builtin
+from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.units import combine_dimensions, scale_dimension
-from antdsl.program.tables.vocabulary import (
-    BUILTIN_ATTRIBUTES,
-    BUILTINS,
-    OTHER_SENSES,
-    REDUCERS,
-    RESERVED,
-    RUN_NAMES,
-    SENSED_NAMES,
-)
 from antdsl.program.types.arguments import Slot, arrange_arguments, place, type_arguments
 from antdsl.program.types.descriptions import is_compatible, quote_source, report_disagreement, report_mismatch, type_words
 from antdsl.program.types.expressions import MAY_BE_NONE, THINGS, TypedArgument
@@ -32,6 +26,8 @@ from antdsl.source import Span
 from antdsl.syntax import nodes
 
 Variables = dict[str, tuple[nodes.Expr, Expr]]
+# Kinds of things that are a value where they are named.
+_VALUES = {Kind(each.args[0].type): (type_from_words(each.result) or BAD).kind for each in find_words("value")}
 
 
 def _use_line(file: nodes.File, library: str) -> Fix | None:
@@ -48,22 +44,18 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
     if isinstance(function, nodes.Member):
         return call_behaviour(scope, node, want)
     if not isinstance(function, nodes.NameRef):
-        scope.report.error(
-            "wrong-kind",
-            f"{quote_source(function.span)} cannot be called",
-            function.span,
-            "only behaviours and built-in words can be called",
-        )
+        message = f"{quote_source(function.span)} cannot be called"
+        scope.report.error("wrong-kind", message, function.span, "only behaviours and built-in words can be called")
         type_arguments(scope, node)
         return bad_expression(node.span)
     name = function.name.text
     if (
-        name in REDUCERS
+        name in vocabulary.REDUCERS
         and len(node.arguments) == 1
-        and (isinstance(node.arguments[0], nodes.Comprehension) or name not in BUILTINS)
+        and (isinstance(node.arguments[0], nodes.Comprehension) or name not in vocabulary.BUILTINS)
     ):
         return reduce(scope, node, name)
-    if name in BUILTINS:
+    if name in vocabulary.BUILTINS:
         return _builtin(scope, node, name, want)
     if scope.file.behaviour(name) is not None:
         return call_behaviour(scope, node, want)
@@ -73,14 +65,13 @@ def call(scope: Scope, node: nodes.Call, want: Type | None) -> Expr:
 
 
 def _report_unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type | None) -> None:
-    if name.text in RESERVED:
+    if name.text in vocabulary.RESERVED:
         words = f"`{name.text}` is a word of the language that does not work yet"
         scope.report.error("not-yet", words, name.span, "leave it out for now")
         return
-    if name.text in REDUCERS:
-        scope.report.error(
-            "wrong-argument", f"`{name.text}` needs a set", node.span, f"write `{name.text}(n in neighbours(20 mm): …)`"
-        )
+    if name.text in vocabulary.REDUCERS:
+        message = f"`{name.text}` needs a set"
+        scope.report.error("wrong-argument", message, node.span, f"write `{name.text}(n in neighbours(20 mm): …)`")
         return
     home = scope.declared.home(name.text)
     if home is not None and home not in scope.file.libraries:
@@ -90,15 +81,17 @@ def _report_unknown(scope: Scope, node: nodes.Call, name: nodes.Name, want: Type
             fix = _use_line(scope.file.node, home)
             scope.report.error("unknown-behaviour", f"`{name.text}` is in the library `{home}`", name.span, advice, fix=fix)
         return
-    known = set(BUILTINS) | set(REDUCERS) | set(scope.file.own) | set(scope.file.library)
+    known = set(vocabulary.BUILTINS) | set(vocabulary.REDUCERS) | set(scope.file.own) | set(scope.file.library)
     instead, fix = call_replacement(node, name.text), None
-    if not node.arguments and name.text in (BUILTIN_ATTRIBUTES.keys() | RUN_NAMES.keys() | SENSED_NAMES.keys()):
+    if not node.arguments and name.text in (
+        vocabulary.BUILTIN_ATTRIBUTES.keys() | vocabulary.RUN_NAMES.keys() | vocabulary.SENSED_NAMES.keys()
+    ):
         advice, fix = f"`{name.text}` is a value: write it without brackets", Fix(node.span, name.text)
     elif instead is not None:
         text, is_exact = instead
         advice, fix = (f"write `{text}`", Fix(node.span, text)) if is_exact else (f"here that is `{text}`", None)
-    elif name.text in OTHER_SENSES:
-        advice = f"ask {OTHER_SENSES[name.text].replace('X', _first_argument_name(node))}"
+    elif name.text in vocabulary.OTHER_SENSES:
+        advice = f"ask {vocabulary.OTHER_SENSES[name.text].replace('X', _first_argument_name(node))}"
     else:
         advice = did_you_mean(name.text, known, _own_behaviour_text(node, name.text, want))
     scope.report.error("unknown-behaviour", f"no behaviour `{name.text}`", name.span, advice, fix=fix)
@@ -124,7 +117,7 @@ def _own_behaviour_text(node: nodes.Call, name: str, want: Type | None) -> str:
 
 
 def _builtin(scope: Scope, node: nodes.Call, name: str, want: Type | None) -> Expr:
-    rows = BUILTINS[name]
+    rows = vocabulary.BUILTINS[name]
     if rows[0].op in SETS:
         return SETS[rows[0].op](scope, node, name, rows[0])
     row, node = (rows[0], node) if len(rows) == 1 else _matching_row(scope, node, rows)
@@ -161,9 +154,8 @@ def _matching_row(scope: Scope, node: nodes.Call, rows: tuple[Builtin, ...]) -> 
         return fitting[0], node
     expr = scope.type_expression(first.value)
     kind = expr.type.kind
-    if len(node.arguments) > 1 and not named and kind is Kind.FIELD:
-        kind = Kind.NUMBER  # `max(trail, 0.5)`: the greater of two numbers; cells are meant with `nearest:`
-    kind = {Kind.MAP: Kind.NUMBER, Kind.FLOW: Kind.VECTOR}.get(kind, kind)
+    if kind is not Kind.FIELD or (len(node.arguments) > 1 and not named):
+        kind = _VALUES.get(kind, kind)  # `max(trail, 0.5)`: the greater of two numbers; cells are meant with `nearest:`
     known = nodes.Argument(first.name, cast(nodes.Expr, TypedArgument(expr, first.value.span)), first.span)
     node = nodes.Call(node.function, (known, *node.arguments[1:]), node.span)
     return next((row for row in fitting if Kind(row.args[0].type.split()[0]) is kind), fitting[0]), node
@@ -213,8 +205,6 @@ def _argument(
         return [_bind_variable(scope, called, node, expr, variable, variables, dims_only=True)]
     type = type_from_words(word) or BAD
     expr = scope.type_expression(node, type) if type.kind in THINGS else value(scope, node, type)
-    if type.kind is Kind.OBSTACLE and expr.type.kind in (Kind.SURFACE, Kind.SOLID):
-        return [expr]
     if not is_compatible(expr.type, type):
         report_mismatch(scope.report, node, expr.type, type, who, expr)
         return [bad_expression(node.span)]
@@ -234,9 +224,8 @@ def check_row_limits(scope: Scope, arg: Arg, who: str, span: Span, expr: Expr, s
         help = f"write {type_words(expr.type)} above {arg.above:g}" + (f": `{sample}`" if sample else "")
         scope.report.error("out-of-range", message, span, help)
     if arg.is_integer and known.number % 1 != 0:
-        scope.report.error(
-            "wrong-count", f"{who} wants a whole number, not {quote_source(span)}", span, "write a number such as `3`"
-        )
+        words = f"{who} wants a whole number, not {quote_source(span)}"
+        scope.report.error("wrong-count", words, span, "write a number such as `3`")
 
 
 def _bind_variable(
@@ -248,11 +237,9 @@ def _bind_variable(
         variables[variable] = (node, expr)
         return expr
     first_node, first = variables[variable]
-    agrees = (
-        first.type.dim == expr.type.dim
-        if dims_only and Kind.BAD not in (first.type.kind, expr.type.kind)
-        else is_compatible(expr.type, first.type)
-    )
+    agrees = is_compatible(expr.type, first.type)
+    if dims_only and Kind.BAD not in (first.type.kind, expr.type.kind):
+        agrees = first.type.dim == expr.type.dim
     if agrees:
         return expr
     report_disagreement(scope.report, called, node.span, (first_node, first), (node, expr))
@@ -263,12 +250,8 @@ def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str,
     if not isinstance(node, nodes.RangeExpr):
         expr = scope.type_expression(node)
         if expr.type.kind is not Kind.BAD:
-            scope.report.error(
-                "wrong-kind",
-                f"{who} wants a range, and {quote_source(node.span)} is one value",
-                node.span,
-                "write two values with `..` between: `0 mm .. 5 mm`",
-            )
+            message = f"{who} wants a range, and {quote_source(node.span)} is one value"
+            scope.report.error("wrong-kind", message, node.span, "write two values with `..` between: `0 mm .. 5 mm`")
         return [bad_expression(node.span), bad_expression(node.span)]
     low, high = (value(scope, end) for end in (node.low, node.high))
     for end, expr in ((node.low, low), (node.high, high)):
@@ -281,9 +264,8 @@ def _range(scope: Scope, called: str, who: str, node: nodes.Expr, variable: str,
     ]
     a, b = constant_behind(low), constant_behind(high)
     if "from" in who and a and b and (a.u, a.step, a.number) == (b.u, b.step, b.number):
-        scope.report.error(
-            "empty-range", f"the range {quote_source(node.span)} has no width", node.span, "write two different ends"
-        )
+        words = f"the range {quote_source(node.span)} has no width"
+        scope.report.error("empty-range", words, node.span, "write two different ends")
     return ends
 
 
@@ -340,12 +322,8 @@ def _check_first(scope: Scope, node: nodes.Call, operation: Op) -> None:
 
 def _check_pick(scope: Scope, node: nodes.Call, operation: Op) -> None:
     if operation.type.kind in THINGS or operation.type.kind is Kind.SET:
-        scope.report.error(
-            "wrong-kind",
-            f"`pick` cannot choose {type_words(operation.type)}",
-            node.span,
-            "choose between values; `random(rabbit)` is one agent of a species",
-        )
+        message = f"`pick` cannot choose {type_words(operation.type)}"
+        scope.report.error("wrong-kind", message, node.span, "choose between values; `random(rabbit)` is one agent of a species")
 
 
 def _check_clamp(scope: Scope, node: nodes.Call, operation: Op) -> None:
@@ -362,9 +340,8 @@ def _check_uniform(scope: Scope, node: nodes.Call, operation: Op) -> None:
         lesser, greater = (" ".join(arg.value.span.text.split()) for arg in reversed(written))
         better = f"uniform({lesser}, {greater})"
         fix = None if any(arg.name for arg in written) else Fix(node.span, better)
-        scope.report.error(
-            "empty-range", f"{quote_source(node.span)} ends before it begins", node.span, f"write `{better}`", fix=fix
-        )
+        message = f"{quote_source(node.span)} ends before it begins"
+        scope.report.error("empty-range", message, node.span, f"write `{better}`", fix=fix)
 
 
 def _check_normal(scope: Scope, node: nodes.Call, operation: Op) -> None:

@@ -6,8 +6,9 @@ import re
 
 from antdsl.diagnostics import Diagnostic, Fix, Label, Report
 from antdsl.program.model import Dim, Expr, Kind, Op, Type
+from antdsl.program.names.scope import bad_expression
 from antdsl.program.tables.senses import find_words
-from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.things import KINDS_OF_THINGS, replacements
 from antdsl.program.tables.units import dimension_words, with_article, with_unit
 from antdsl.source import Span
 from antdsl.syntax import nodes
@@ -24,6 +25,8 @@ _KINDS: dict[Kind, str] = {
 }
 # Things that are named and are no value: an expression must read something of them.
 _THINGS = frozenset(Kind(word) for word in KINDS_OF_THINGS) - {Kind(each.args[0].type) for each in find_words("value")}
+PLACE_KINDS = {Kind.ITEM, Kind.AGENT, Kind.HIT, Kind.PLACE, *(Kind(row.word) for row in KINDS_OF_THINGS.values() if row.nearest)}
+_FLOW = Kind("flow")
 _VECTORS: dict[Dim, str] = {Dim(): "a push or direction", Dim(length=1): "a position", Dim(length=1, time=-1): "a velocity"}
 
 
@@ -54,27 +57,23 @@ def is_compatible(actual: Type, expected: Type) -> bool:
     if Kind.BAD in (actual.kind, expected.kind):
         return True
     if actual.kind is not expected.kind:
-        return False
+        return actual.kind.value in replacements(expected.kind.value)
     if actual.kind in (Kind.NUMBER, Kind.VECTOR) and actual.dim != expected.dim:
         return False
     return actual.of is None or expected.of is None or actual.of == expected.of
 
 
-def report_mismatch(report: Report, node: nodes.Expr, actual: Type, expected: Type, place: str, expr: Expr | None = None) -> None:
+def report_mismatch(report: Report, node: nodes.Expr, actual: Type, expected: Type, place: str, expr: Expr | None = None) -> Expr:
     """Report that `node` has another type than `place` needs: a missing unit, a wrong unit, or another kind of thing. `expr` is
-    its typed expression, if known."""
+    its typed expression, if known. Returns what stands for it."""
     if isinstance(expr, Op) and expr.name == "map_value" and expected.kind is Kind.VECTOR:
         text = " ".join(node.span.text.split())
-        report.add(
-            Diagnostic(
-                "wrong-kind",
-                f"`{text}` is a map of plain numbers, and {place} wants {type_words(expected)}",
-                node.span,
-                help=f"what is painted with directions is a flow: `world {{ flow {text} }}`",
-            )
-        )
-        return
-    report.add(_mismatch(node, actual, expected, place))
+        message = f"`{text}` is a map of plain numbers, and {place} wants {type_words(expected)}"
+        advice = f"what is painted with directions is a flow: `world {{ flow {text} }}`"
+        report.add(Diagnostic("wrong-kind", message, node.span, help=advice))
+    else:
+        report.add(_mismatch(node, actual, expected, place))
+    return bad_expression(node.span)
 
 
 def _mismatch(node: nodes.Expr, actual: Type, expected: Type, place: str) -> Diagnostic:
@@ -82,29 +81,22 @@ def _mismatch(node: nodes.Expr, actual: Type, expected: Type, place: str) -> Dia
     both_numbers = actual.kind is Kind.NUMBER and expected.kind is Kind.NUMBER
     if both_numbers and isinstance(node, nodes.Number):
         write = with_unit(node.value, expected.dim)
-        return Diagnostic(
-            "missing-unit",
-            f"{text} has no unit, and {place} wants {want}",
-            node.span,
-            help=f"write `{write}`",
-            fix=Fix(node.span, write),
-        )
+        message = f"{text} has no unit, and {place} wants {want}"
+        return Diagnostic("missing-unit", message, node.span, help=f"write `{write}`", fix=Fix(node.span, write))
+    message = f"{text} is {type_words(actual)}, and {place} wants {want}"
     if both_numbers:
         fix = None
         advice = f"write {want}"
         if isinstance(node, nodes.Quantity):
             write = with_unit(node.value, expected.dim)
             advice, fix = f"write {want}, such as `{write}`", Fix(node.span, write)
-        return Diagnostic(
-            "wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice, fix=fix
-        )
+        return Diagnostic("wrong-unit", message, node.span, help=advice, fix=fix)
     if actual.kind is expected.kind and actual.kind is Kind.VECTOR:
         advice = "`direction(x)`, `unit(v)` and `match(velocity)` make pushes" if expected.dim == Dim() else f"write {want}"
-        return Diagnostic("wrong-unit", f"{text} is {type_words(actual)}, and {place} wants {want}", node.span, help=advice)
+        return Diagnostic("wrong-unit", message, node.span, help=advice)
     advice = _advice(node, actual, expected)
-    message = f"{text} is {type_words(actual)}, and {place} wants {want}"
     fix = _vector_units_fix(node) if expected.kind is Kind.PLACE and actual == Type(Kind.VECTOR) else None
-    if fix is None and expected.kind is not Kind.FLOW and not (expected.kind is Kind.BOOL and actual.kind in _THINGS):
+    if fix is None and expected.kind is not _FLOW and not (expected.kind is Kind.BOOL and actual.kind in _THINGS):
         fix = _own_text_fix(node, advice)
     return Diagnostic("wrong-kind", message, node.span, help=advice, fix=fix)
 
@@ -152,19 +144,16 @@ def _advice(node: nodes.Expr, actual: Type, expected: Type) -> str:
             short = f"({short})"
         return f"compare it with something: `{short} > {with_unit(0.5 if actual.dim == Dim() else 1, actual.dim)}`"
     if expected.kind is Kind.VECTOR and expected.dim == Dim():
-        if actual.kind in (Kind.ITEM, Kind.AGENT, Kind.ITEMS, Kind.SPECIES, Kind.PLACE, Kind.CURVE):
+        if actual.kind in PLACE_KINDS:
             return f"`direction({short})` is the push toward it"
         if actual.kind is Kind.NUMBER:
-            return (
-                f"a push needs a direction: `heading * {short}`"
-                if actual.dim == Dim()
-                else "a push needs a direction, such as `heading`"
-            )
+            sample = f": `heading * {short}`" if actual.dim == Dim() else ", such as `heading`"
+            return f"a push needs a direction{sample}"
     if expected.kind is Kind.NUMBER and actual.kind is Kind.VECTOR:
         return f"`length({short})` is a number"
     if expected.kind is Kind.NUMBER and actual.kind in (Kind.ITEM, Kind.AGENT, Kind.PLACE):
         return f"`distance({short})` is a length; `{short}.size` and the like are its values"
-    if expected.kind is Kind.FLOW:
+    if expected.kind is _FLOW:
         if actual.kind is Kind.VECTOR:
             return f"`toward({short})` takes any direction; here the name of a flow is needed"
         return "name a flow: `world { flow drift }`, and in the scene `drift: {toward: nest}`"

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from antdsl import limits
 from antdsl.diagnostics import Fix
+from antdsl.program.kinds import BAD, BOOL
 from antdsl.program.model import (
     Attribute,
     Binding,
@@ -23,8 +24,6 @@ from antdsl.program.model import (
 )
 from antdsl.program.names.missing import missing_thing
 from antdsl.program.names.scope import (
-    BAD,
-    BOOL,
     Scope,
     attributes_of,
     bad_expression,
@@ -62,9 +61,8 @@ def quantity_of(scope: Scope, node: nodes.Quantity, want: Type | None) -> Expr:
             scope.report.error("number-too-large", message, node.span, "write a smaller number")
         return expr
     units = ", ".join(f"`{unit}`" for unit in UNITS)
-    scope.report.error(
-        "unknown-unit", f"no unit `{node.unit}`", node.unit_span, did_you_mean(node.unit, UNITS, f"units are {units}")
-    )
+    words = f"no unit `{node.unit}`"
+    scope.report.error("unknown-unit", words, node.unit_span, did_you_mean(node.unit, UNITS, f"units are {units}"))
     return bad_expression(node.span)
 
 
@@ -72,13 +70,8 @@ def none_of(scope: Scope, node: nodes.NoneOf, want: Type | None) -> Expr:
     if node.of is None:
         if want is not None and want.kind in MAY_BE_NONE:
             return NoneRef(want, Rate.CONST, node.span)
-        scope.report.error(
-            "none-of-what",
-            "`none` alone does not say of what",
-            node.span,
-            "write `none of food` or `none of rabbit`, with the name that is meant",
-        )
-        return bad_expression(node.span)
+        advice = "write `none of food` or `none of rabbit`, with the name that is meant"
+        return scope.reject("none-of-what", "`none` alone does not say of what", node.span, advice)
     type = reference_type(scope, node.of)
     return bad_expression(node.span) if type is None else NoneRef(type, Rate.CONST, node.span)
 
@@ -147,8 +140,7 @@ def _report_too_early(scope: Scope, name: str, span: Span) -> None:
 def report_pair_value(scope: Scope, node: nodes.Name, owner: str = "") -> Expr:
     """Report a pair value that is named without its other agent."""
     help = f"the agent that has it reads it: `{node.text}[other]`" if owner else f"write `{node.text}[other]`"
-    scope.report.error("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
-    return bad_expression(node.span)
+    return scope.reject("wrong-kind", f"`{node.text}` is a value per pair: name the other agent", node.span, help)
 
 
 def _element_value(scope: Scope, name: str, span: Span) -> Expr | None:
@@ -261,12 +253,8 @@ def _report_unknown(scope: Scope, node: nodes.NameRef, want: Type | None) -> Exp
     elif scope.species is not None and any(name in m.states for m in scope.species.machines.values()):
         report.error("state-as-value", f"`{name}` is a state and has no value", node.span, f"ask for it with `state == {name}`")
     elif scope.species is not None and scope.behaviour is not None and name in scope.species.attributes:
-        report.error(
-            "unknown-name",
-            f"a behaviour cannot read `{name}` of the species that calls it",
-            node.span,
-            f"pass it as an argument: `{name}: …`",
-        )
+        message = f"a behaviour cannot read `{name}` of the species that calls it"
+        report.error("unknown-name", message, node.span, f"pass it as an argument: `{name}: …`")
     elif name in BUILTINS or name in REDUCERS or scope.file.behaviour(name) is not None:
         behaviour = scope.file.behaviour(name)
         defaults = [None] if behaviour is None else [argument.default for argument in behaviour.node.arguments]
@@ -340,19 +328,11 @@ def _report_no_member(scope: Scope, owner: Expr, node: nodes.Member, known: dict
         advice = did_you_mean(name, known, f"there is {list_names(known)}")
         scope.report.error("unknown-name", f"{type_words(owner.type)} has no `{name}`", node.name.span, advice)
     elif kind is Kind.VECTOR:
-        scope.report.error(
-            "wrong-kind",
-            f"components of a vector have no names, so no `{name}`",
-            node.name.span,
-            f"the component along a direction is `dot({text}, up)`",
-        )
+        message = f"components of a vector have no names, so no `{name}`"
+        scope.report.error("wrong-kind", message, node.name.span, f"the component along a direction is `dot({text}, up)`")
     else:
-        scope.report.error(
-            "wrong-kind",
-            f"{quote_source(node.owner.span)} is {type_words(owner.type)} and has no values",
-            node.span,
-            f"leave `.{name}` out",
-        )
+        message = f"{quote_source(node.owner.span)} is {type_words(owner.type)} and has no values"
+        scope.report.error("wrong-kind", message, node.span, f"leave `.{name}` out")
 
 
 def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
@@ -363,11 +343,8 @@ def _param_of(scope: Scope, owner: Expr, node: nodes.Member) -> Expr:
         return ParamRef(names.params[node.name.text], Rate.RUN, node.span, f"{names.name}.{node.name.text}")
     scope.bind_unreadable(node.name, owner.type)
     species = owner.type.of or "species"
-    scope.report.error(
-        "wrong-kind", f"`{species}` is a whole species, but `{node.name.text}` is a value of one agent", node.span,
-        f"name one: `nearest({species}).{node.name.text}`",
-    )  # fmt: skip
-    return bad_expression(node.span)
+    message = f"`{species}` is a whole species, but `{node.name.text}` is a value of one agent"
+    return scope.reject("wrong-kind", message, node.span, f"name one: `nearest({species}).{node.name.text}`")
 
 
 @dataclass(frozen=True, slots=True)
@@ -389,10 +366,5 @@ def bad_expr(scope: Scope, node: nodes.BadExpr, want: Type | None) -> Expr:
 def range_of(scope: Scope, node: nodes.RangeExpr, want: Type | None) -> Expr:
     scope.type_expression(node.low)
     scope.type_expression(node.high)
-    scope.report.error(
-        "wrong-kind",
-        f"a range {quote_source(node.span)} cannot stand here",
-        node.span,
-        "ranges are for arguments such as `from: 0 mm .. 5 mm`",
-    )
-    return bad_expression(node.span)
+    message = f"a range {quote_source(node.span)} cannot stand here"
+    return scope.reject("wrong-kind", message, node.span, "ranges are for arguments such as `from: 0 mm .. 5 mm`")

@@ -3,19 +3,9 @@
 from __future__ import annotations
 
 from antdsl.diagnostics import Fix
+from antdsl.program.kinds import BAD, BOOL, NUMBER, PER_SECOND, PUSH, VELOCITY
 from antdsl.program.model import Const, Expr, Kind, Op, Rate, Type
-from antdsl.program.names.scope import (
-    BAD,
-    BOOL,
-    NUMBER,
-    PER_SECOND,
-    PUSH,
-    VELOCITY,
-    Scope,
-    bad_expression,
-    rate_of,
-    type_from_words,
-)
+from antdsl.program.names.scope import Scope, bad_expression, rate_of, type_from_words
 from antdsl.program.tables.senses import find_words
 from antdsl.program.tables.units import combine_dimensions, scale_dimension
 from antdsl.program.tables.vocabulary import SIGN_OPS
@@ -54,12 +44,7 @@ def value_of_type(scope: Scope, node: nodes.Expr, want: Type, place: str) -> Exp
     expr = value(scope, node, want)
     if is_compatible(expr.type, want):
         return expr
-    return _report_wrong_type(scope, node, expr, want, place)
-
-
-def _report_wrong_type(scope: Scope, node: nodes.Expr, expr: Expr, want: Type, place: str) -> Expr:
-    report_mismatch(scope.report, node, expr.type, want, place, expr)
-    return bad_expression(node.span)
+    return report_mismatch(scope.report, node, expr.type, want, place, expr)
 
 
 def facing_direction(scope: Scope, node: nodes.Expr) -> Expr:
@@ -68,7 +53,7 @@ def facing_direction(scope: Scope, node: nodes.Expr) -> Expr:
     expr = value(scope, node, PUSH)
     if is_compatible(expr.type, VELOCITY):
         return expr
-    return expr if is_compatible(expr.type, PUSH) else _report_wrong_type(scope, node, expr, PUSH, "`face`")
+    return expr if is_compatible(expr.type, PUSH) else report_mismatch(scope.report, node, expr.type, PUSH, "`face`", expr)
 
 
 def condition(scope: Scope, node: nodes.Expr, place: str) -> Expr:
@@ -84,8 +69,7 @@ def truth(scope: Scope, node: nodes.Expr, expr: Expr, place: str) -> Expr:
         return expr
     if kind in MAY_BE_NONE or kind is Kind.SET or (kind is Kind.PLACE and scope.generic):
         return op("is_some", BOOL, expr.span, expr)
-    report_mismatch(scope.report, node, expr.type, BOOL, place)
-    return bad_expression(node.span)
+    return report_mismatch(scope.report, node, expr.type, BOOL, place)
 
 
 def _mentions_event(scope: Scope, node: nodes.Expr) -> bool:
@@ -164,10 +148,9 @@ def _chance(scope: Scope, node: nodes.Unary) -> Expr:
         text = " ".join(node.operand.span.text.split())
         if isinstance(node.operand, nodes.Number | nodes.Quantity):
             text = text.replace(",", ".")
-        scope.report.error(
-            "not-a-rate", f"{quote_source(node.operand.span)} does not say per what time", node.operand.span,
-            f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for so much a second",
-        )  # fmt: skip
+        message = f"{quote_source(node.operand.span)} does not say per what time"
+        advice = f"write `chance {text}{'/s' if text.endswith('%') else ' /s'}` for so much a second"
+        scope.report.error("not-a-rate", message, node.operand.span, advice)
     else:
         report_mismatch(scope.report, node.operand, expr.type, PER_SECOND, "`chance`")
     return bad_expression(node.span)
@@ -178,27 +161,18 @@ def _check_chance(scope: Scope, node: nodes.Unary, expr: Expr) -> None:
     if known is None:
         return
     if known.number < 0:
-        scope.report.error(
-            "out-of-range",
-            f"a chance below 0: {quote_source(node.operand.span)}",
-            node.operand.span,
-            "write a chance of 0 or more",
-        )
+        message = f"a chance below 0: {quote_source(node.operand.span)}"
+        scope.report.error("out-of-range", message, node.operand.span, "write a chance of 0 or more")
     elif known.type == NUMBER and known.number > 1 and scope.runs_once:
-        scope.report.error(
-            "out-of-range", f"a chance above 100 %: {quote_source(node.operand.span)}", node.operand.span, "write at most `100 %`"
-        )
+        words = f"a chance above 100 %: {quote_source(node.operand.span)}"
+        scope.report.error("out-of-range", words, node.operand.span, "write at most `100 %`")
 
 
 def draw_site(scope: Scope, word: str, span: Span) -> str:
     """Return the name of a draw. Draws inside a set are errors, because the result would depend on the order of the elements."""
     if scope.sets:
-        scope.report.error(
-            "draw-in-set",
-            f"`{word}` draws a random number inside a set",
-            span,
-            "draw before the set: `let x = …`, and use `x` inside",
-        )
+        message = f"`{word}` draws a random number inside a set"
+        scope.report.error("draw-in-set", message, span, "draw before the set: `let x = …`, and use `x` inside")
     return scope.keys.next(word)
 
 
@@ -210,13 +184,8 @@ def count(scope: Scope, node: nodes.Expr, who: str) -> Expr:
     known = constant_behind(expr)
     if known is not None and known.type == NUMBER and 1 <= known.number <= 64 and known.number == int(known.number):
         return Const(NUMBER, Rate.CONST, node.span, known.number)
-    scope.report.error(
-        "wrong-count",
-        f"{who} wants a whole number from 1 to 64, not {quote_source(node.span)}",
-        node.span,
-        "write a number such as `3`",
-    )
-    return bad_expression(node.span)
+    message = f"{who} wants a whole number from 1 to 64, not {quote_source(node.span)}"
+    return scope.reject("wrong-count", message, node.span, "write a number such as `3`")
 
 
 # --- two operands ----------------------------------------------------------------------------------------------------
@@ -279,12 +248,8 @@ def _equal(scope: Scope, node: nodes.Binary) -> Expr:
     if is_compatible(left.type, right.type) and left.type.kind not in THINGS | {Kind.SET, Kind.VECTOR}:
         return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
     if left.type.kind is right.type.kind and left.type.kind is not Kind.NUMBER:
-        scope.report.error(
-            "kinds-differ",
-            f"{quote_source(node.span)} compares what cannot be compared",
-            node.span,
-            "compare numbers, states, items or agents",
-        )
+        message = f"{quote_source(node.span)} compares what cannot be compared"
+        scope.report.error("kinds-differ", message, node.span, "compare numbers, states, items or agents")
     else:
         report_disagreement(scope.report, node.op, node.span, (left_node, left), (right_node, right))
     return op(SIGN_OPS[node.op], BOOL, node.span, left, right)
@@ -338,12 +303,8 @@ def _quotient(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr
     if not _check_operands(scope, node, left, right):
         return bad_expression(node.span)
     if right.type.kind is Kind.VECTOR:
-        scope.report.error(
-            "wrong-kind",
-            f"{quote_source(node.span)} divides by a vector",
-            node.op_span,
-            f"divide by its length: `length({quote_source(node.right.span).strip('`')})`",
-        )
+        advice = f"divide by its length: `length({quote_source(node.right.span).strip('`')})`"
+        scope.report.error("wrong-kind", f"{quote_source(node.span)} divides by a vector", node.op_span, advice)
         return bad_expression(node.span)
     type = Type(left.type.kind, combine_dimensions(left.type.dim, right.type.dim, -1))
     return fold(scope.report, op("div", type, node.span, left, right))
@@ -358,12 +319,8 @@ def _power(scope: Scope, node: nodes.Binary, left: Expr, right: Expr) -> Expr:
         return bad_expression(node.span)
     exponent = constant_behind(right)
     if left.type.dim != NUMBER.dim and exponent is None:
-        scope.report.error(
-            "wrong-unit",
-            f"{quote_source(node.left.span)} is {type_words(left.type)}, so its power must be a plain number",
-            node.right.span,
-            "write `^ 2`",
-        )
+        message = f"{quote_source(node.left.span)} is {type_words(left.type)}, so its power must be a plain number"
+        scope.report.error("wrong-unit", message, node.right.span, "write `^ 2`")
         return bad_expression(node.span)
     dim = scale_dimension(left.type.dim, exponent.number) if exponent else left.type.dim
     return fold(scope.report, op("pow", Type(Kind.NUMBER, dim), node.span, left, right))
@@ -390,11 +347,6 @@ def if_else(scope: Scope, node: nodes.IfElse, want: Type | None) -> Expr:
         return bad_expression(node.span)
     type = otherwise.type if then.type.kind is Kind.BAD else then.type
     if type.kind in THINGS or type.kind is Kind.SET:
-        scope.report.error(
-            "wrong-kind",
-            f"`if` cannot choose {type_words(type)}",
-            node.span,
-            "choose between values: numbers, vectors, items, agents",
-        )
-        return bad_expression(node.span)
+        message = f"`if` cannot choose {type_words(type)}"
+        return scope.reject("wrong-kind", message, node.span, "choose between values: numbers, vectors, items, agents")
     return op("if", type, node.span, test, then, otherwise)

@@ -24,20 +24,13 @@ def index_of(scope: Scope, node: nodes.Index, want: Type | None) -> Expr:
         return Attribute(species.attributes[name], max(index.rate, Rate.AGENT), node.span, index, name)
     if scope.type_expression(owner).type.kind is Kind.BAD:
         return bad_expression(node.span)
-    scope.report.error(
-        "wrong-kind",
-        f"{quote_source(owner.span)} has no value per agent",
-        node.span,
-        "a value per pair is declared so: `likes = 0 for each roach, strongest 8`",
-    )
-    return bad_expression(node.span)
+    advice = "a value per pair is declared so: `likes = 0 for each roach, strongest 8`"
+    return scope.reject("wrong-kind", f"{quote_source(owner.span)} has no value per agent", node.span, advice)
 
 
 def pair_of(scope: Scope, node: nodes.PairOf, want: Type | None) -> Expr:
-    scope.report.error(
-        "not-yet", "`… to …` as a pair of two things does not work yet", node.span, "a value per pair is written `likes[other]`"
-    )
-    return bad_expression(node.span)
+    message = "`… to …` as a pair of two things does not work yet"
+    return scope.reject("not-yet", message, node.span, "a value per pair is written `likes[other]`")
 
 
 def check_pair_value(scope: Scope, attribute: AttributeDecl, to: Expr | None) -> None:
@@ -48,21 +41,14 @@ def check_pair_value(scope: Scope, attribute: AttributeDecl, to: Expr | None) ->
         return
     text = " ".join(default.span.text.split())
     if attribute.type.kind is not Kind.NUMBER:
-        scope.report.error(
-            "wrong-kind", f"`{name}` is {type_words(attribute.type)}, and a value per pair is a number", default.span,
-            f"start with a number: `{name} = 0 for each …`",
-        )  # fmt: skip
+        message = f"`{name}` is {type_words(attribute.type)}, and a value per pair is a number"
+        scope.report.error("wrong-kind", message, default.span, f"start with a number: `{name} = 0 for each …`")
     elif default.rate > Rate.RUN:
-        scope.report.error(
-            "wrong-rate", f"`{name}` begins with {quote_source(default.span)}, and it has to begin the same about all",
-            default.span,
-            "write a number or a param, and set it where the agents meet",
-        )  # fmt: skip
+        message = f"`{name}` begins with {quote_source(default.span)}, and it has to begin the same about all"
+        scope.report.error("wrong-rate", message, default.span, "write a number or a param, and set it where the agents meet")
     elif to is not None and to.type.kind is not Kind.BAD and not _is_same(default, to):
-        scope.report.error(
-            "wrong-argument", f"`{name}` begins at {text} for all others, and cannot return to {quote_source(to.span)}", to.span,
-            f"write `relax to {text}`",
-        )  # fmt: skip
+        message = f"`{name}` begins at {text} for all others, and cannot return to {quote_source(to.span)}"
+        scope.report.error("wrong-argument", message, to.span, f"write `relax to {text}`")
 
 
 def _is_same(one: Expr, other: Expr) -> bool:
@@ -80,10 +66,8 @@ def pair_values_of(scope: Scope, node: nodes.IndexAll) -> tuple[Attribute, SetOf
         over = complete_set(over)
     if not isinstance(over, SetOf):
         if over.type.kind is not Kind.BAD:
-            scope.report.error(
-                "wrong-kind", f"`… in …` goes over a set, and {quote_source(over.span)} is {type_words(over.type)}", over.span,
-                "write a set, such as `neighbours(20 mm)`",
-            )  # fmt: skip
+            message = f"`… in …` goes over a set, and {quote_source(over.span)} is {type_words(over.type)}"
+            scope.report.error("wrong-kind", message, over.span, "write a set, such as `neighbours(20 mm)`")
         return None
     element, inner = element_scope(scope, over, node.variable)
     index = nodes.Index(node.owner, nodes.NameRef(node.variable, node.variable.span), node.span)

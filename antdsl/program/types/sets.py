@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from antdsl.program.kinds import BOOL, LENGTH, NUMBER
 from antdsl.program.model import Binding, Const, Dim, Expr, Kind, Rate, Reduce, SetOf, Type
-from antdsl.program.names.scope import BOOL, LENGTH, NUMBER, Scope, bad_expression, type_from_words
+from antdsl.program.names.scope import Scope, bad_expression, type_from_words
 from antdsl.program.tables.defaults import default_values
 from antdsl.program.tables.rows import Arg, Builtin
 from antdsl.program.traverse import bindings_in
 from antdsl.program.types.arguments import Slot, arrange_arguments, element_type, nearest_of, type_arguments
-from antdsl.program.types.descriptions import quote_source, report_mismatch, type_words
+from antdsl.program.types.descriptions import is_compatible, quote_source, report_mismatch, type_words
 from antdsl.program.types.folding import constant_behind
 from antdsl.program.types.operators import condition, count, value, value_of_type
 from antdsl.syntax import nodes
@@ -43,12 +44,8 @@ def _things(scope: Scope, called: str, node: nodes.Expr, kinds: tuple[Kind, ...]
         return expr
     if expr.type.kind is not Kind.BAD:
         names = "items or a species" if kinds == _THINGS else "a species"
-        scope.report.error(
-            "wrong-kind",
-            f"`{called}` looks for {names}, and {quote_source(node.span)} is {type_words(expr.type)}",
-            node.span,
-            f"write a name of {names}",
-        )
+        message = f"`{called}` looks for {names}, and {quote_source(node.span)} is {type_words(expr.type)}"
+        scope.report.error("wrong-kind", message, node.span, f"write a name of {names}")
     return None
 
 
@@ -69,8 +66,7 @@ def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
             return bad_expression(node.span)
         of = species.type.of
     elif scope.behaviour is None and scope.species is None:
-        scope.report.error("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
-        return bad_expression(node.span)
+        return scope.reject("wrong-argument", "`neighbours` without a species", node.span, "write `of: forager`")
     _check_reach(scope, radius, node)
     most = _count_limit(scope, name, row, arguments_by_slot, node)
     element = element_of(Type(Kind.AGENT, Dim(), of), "it", node)
@@ -80,12 +76,9 @@ def neighbours(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
 def _check_reach(scope: Scope, radius: Expr | None, node: nodes.Call) -> None:
     known = constant_behind(radius) if radius is not None else None
     if known is not None and known.number <= 0:
-        scope.report.error(
-            "out-of-range",
-            "a radius of 0 or less reaches no agent",
-            node.arguments[0].span if node.arguments else node.span,
-            "write a length above 0",
-        )
+        message = "a radius of 0 or less reaches no agent"
+        advice = "write a length above 0"
+        scope.report.error("out-of-range", message, node.arguments[0].span if node.arguments else node.span, advice)
 
 
 def _count_limit(
@@ -96,11 +89,9 @@ def _count_limit(
     most = _optional_value(scope, called, arg, arguments_by_slot, node) if arg is not None else None
     known = constant_behind(most) if most is not None else None
     if known is not None and (known.number < 1 or known.number != int(known.number)):
-        scope.report.error(
-            "out-of-range",
-            f"`most` of `{called}` is how many count, not {quote_source(arguments_by_slot['most'][0].value.span)}",
-            arguments_by_slot["most"][0].value.span, "write a whole number, 1 or more: `most: 3`",
-        )  # fmt: skip
+        message = f"`most` of `{called}` is how many count, not {quote_source(arguments_by_slot['most'][0].value.span)}"
+        advice = "write a whole number, 1 or more: `most: 3`"
+        scope.report.error("out-of-range", message, arguments_by_slot["most"][0].value.span, advice)
     return most
 
 
@@ -137,12 +128,8 @@ def nearest(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
         if expr.type.kind in _THINGS:
             return nearest_of(expr, node.span)
         if expr.type.kind is not Kind.BAD:
-            scope.report.error(
-                "wrong-kind",
-                f"`nearest` looks for items, a species or a set, and {quote_source(first.span)} is {type_words(expr.type)}",
-                first.span,
-                "write `nearest(food)` or `nearest(neighbours(20 mm))`",
-            )
+            message = f"`nearest` looks for items, a species or a set, and {quote_source(first.span)} is {type_words(expr.type)}"
+            scope.report.error("wrong-kind", message, first.span, "write `nearest(food)` or `nearest(neighbours(20 mm))`")
         return bad_expression(node.span)
     over = all_of(scope, node, name, row)
     return _nearest_of_set(over, node) if isinstance(over, SetOf) else over
@@ -158,7 +145,7 @@ def feelers(scope: Scope, node: nodes.Call, name: str, row: Builtin) -> Expr:
     if arguments_by_slot is None:
         return bad_expression(node.span)
     target = scope.type_expression(arguments_by_slot["on"][0].value)
-    if target.type.kind not in (Kind.OBSTACLE, Kind.SURFACE, Kind.SOLID, Kind.BAD):
+    if not is_compatible(target.type, Type(Kind.OBSTACLE)):
         report_mismatch(scope.report, arguments_by_slot["on"][0].value, target.type, Type(Kind.OBSTACLE), f"`on` of `{name}`")
         return bad_expression(node.span)
     how_many = (
@@ -192,22 +179,15 @@ def reduce(scope: Scope, node: nodes.Call, how: str) -> Expr:
         over, variable = scope.type_expression(argument.value), None
     if not isinstance(over, SetOf):
         if over.type.kind is not Kind.BAD:
-            scope.report.error(
-                "wrong-kind",
-                f"`{how}` goes over a set, and {quote_source(over.span)} is {type_words(over.type)}",
-                over.span,
-                "write a set, such as `neighbours(20 mm)` or `all(food)`",
-            )
+            message = f"`{how}` goes over a set, and {quote_source(over.span)} is {type_words(over.type)}"
+            scope.report.error("wrong-kind", message, over.span, "write a set, such as `neighbours(20 mm)` or `all(food)`")
         return bad_expression(node.span)
     if variable is None or not isinstance(argument, nodes.Comprehension):
         if how not in ("count", "any"):
-            scope.report.error(
-                "wrong-argument",
-                f"`{how}` does not know what to take of each",
-                node.span,
-                f"write `{how}(n in {' '.join(over.span.text.split())}: …)`",
+            message = f"`{how}` does not know what to take of each"
+            return scope.reject(
+                "wrong-argument", message, node.span, f"write `{how}(n in {' '.join(over.span.text.split())}: …)`"
             )
-            return bad_expression(node.span)
         element = over.element
         body: Expr = Const(BOOL, Rate.CONST, node.span, 1.0)
     else:
@@ -241,12 +221,8 @@ def _check_shadow(scope: Scope, variable: nodes.Name) -> None:
         and (variable.text in names.attributes or variable.text in names.bindings or variable.text in names.params)
     )
     if own or variable.text in scope.locals:
-        scope.report.error(
-            "duplicate-name",
-            f"`{variable.text}` has a meaning here already",
-            variable.span,
-            "choose another name for the element",
-        )
+        message = f"`{variable.text}` has a meaning here already"
+        scope.report.error("duplicate-name", message, variable.span, "choose another name for the element")
 
 
 def reduction_body(scope: Scope, how: str, node: nodes.Expr) -> Expr:
@@ -258,12 +234,8 @@ def reduction_body(scope: Scope, how: str, node: nodes.Expr) -> Expr:
     if expr.type.kind in allowed:
         return expr
     if expr.type.kind is Kind.BOOL and how in ("sum", "mean"):
-        scope.report.error(
-            "wrong-kind",
-            f"`{how}` adds numbers, and {quote_source(node.span)} is a yes or no",
-            node.span,
-            "use `count` to count how many meet a condition",
-        )
+        message = f"`{how}` adds numbers, and {quote_source(node.span)} is a yes or no"
+        scope.report.error("wrong-kind", message, node.span, "use `count` to count how many meet a condition")
     else:
         report_mismatch(
             scope.report,
@@ -290,8 +262,5 @@ def _check_nesting(scope: Scope, expr: Expr, node: nodes.Call) -> None:
     used = bindings_in(expr)
     outer = next((element for element in scope.sets if element in used), None)
     if outer is not None:
-        scope.report.error(
-            "set-in-set", f"{quote_source(node.span)} would look at the neighbours of neighbours, through `{outer.name}`",
-            node.span,
-            "store the inner result in an attribute, and read that",
-        )  # fmt: skip
+        message = f"{quote_source(node.span)} would look at the neighbours of neighbours, through `{outer.name}`"
+        scope.report.error("set-in-set", message, node.span, "store the inner result in an attribute, and read that")

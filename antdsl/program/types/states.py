@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.kinds import BOOL, TIME
 from antdsl.program.model import Attribute, ClipTest, Expr, Kind, Rate, StateConst, ThingRef, Type
-from antdsl.program.names.scope import BOOL, TIME, MachineNames, Scope, bad_expression, did_you_mean, is_known_missing, list_names
+from antdsl.program.names.scope import MachineNames, Scope, bad_expression, did_you_mean, is_known_missing, list_names
 from antdsl.source import Span
 from antdsl.syntax import nodes
 
@@ -26,11 +27,9 @@ def machine_value(scope: Scope, machine: MachineNames, node: nodes.Member) -> Ex
     word = node.name.text
     if word in STATE_WORDS:
         return _machine_word(machine, None, word, node.span)
+    message = f"machine `{machine.name}` has no `{word}`"
     scope.report.error(
-        "unknown-name",
-        f"machine `{machine.name}` has no `{word}`",
-        node.name.span,
-        did_you_mean(word, STATE_WORDS, f"there is {list_names(STATE_WORDS)}"),
+        "unknown-name", message, node.name.span, did_you_mean(word, STATE_WORDS, f"there is {list_names(STATE_WORDS)}")
     )
     return bad_expression(node.span)
 
@@ -42,12 +41,8 @@ def state_word(scope: Scope, owner: Expr | None, word: str, span: Span, name_spa
     if isinstance(owner, ThingRef) and owner.name == "self":
         owner = None
     if names is None or not names.machines:
-        scope.report.error(
-            "unknown-name",
-            f"no `{word}` is known here",
-            name_span or span,
-            "you can test states only of a species that is checked together with this one",
-        )
+        advice = "you can test states only of a species that is checked together with this one"
+        scope.report.error("unknown-name", f"no `{word}` is known here", name_span or span, advice)
         return bad_expression(span)
     machine = scope.machine if owner is None and scope.machine is not None else next(iter(names.machines.values()))
     return _machine_word(machine, owner, word, span)
@@ -95,15 +90,10 @@ def clip_test(scope: Scope, node: nodes.ClipTest, want: Type | None) -> Expr:
     """Type `clip done` or `clip at MARK`, about the machine of this place in the text, or the first one."""
     names = scope.species
     if names is None or not names.machines or scope.behaviour is not None:
-        scope.report.error(
-            "unknown-name", "there is no clip here", node.span, "test it in a state of a species: `when clip done -> …`"
-        )
-        return bad_expression(node.span)
+        words = "there is no clip here"
+        return scope.reject("unknown-name", words, node.span, "test it in a state of a species: `when clip done -> …`")
     if not node.at and node.name.text != "done":
-        scope.report.error(
-            "unknown-name", f"`clip {node.name.text}` is not a property of a clip", node.span,
-            f"write `clip done`, or for a mark `clip at {node.name.text}`",
-        )  # fmt: skip
-        return bad_expression(node.span)
+        message = f"`clip {node.name.text}` is not a property of a clip"
+        return scope.reject("unknown-name", message, node.span, f"write `clip done`, or for a mark `clip at {node.name.text}`")
     machine = scope.machine or next(iter(names.machines.values()))
     return ClipTest(BOOL, Rate.AGENT, node.span, machine.name, node.name.text if node.at else "")

@@ -301,7 +301,7 @@ def _grounds(world: World, lattice: Lattice, chosen: Flags, point: Index | None 
 def _blocked_triangles(world: World, triangles: Index, points: Floats, normal: Floats) -> Flags:
     """Return the triangles with a side that hits an obstacle, tested slightly above the ground."""
     cut = np.zeros(len(triangles), bool)
-    for name in world.plan.of_kind("obstacle"):
+    for name in world.plan.obstacles:
         if name not in world.obstacles:
             continue
         scene = obstacle_mesh(world, name)
@@ -370,7 +370,7 @@ def _cost(world: World, flow: SolvedFlow, grounds: CrossableGround) -> Floats:
     if flow.clearance > 0:
         x, y, z = middle.T.astype(np.float32)
         gap = np.full(len(middle), np.inf)
-        for name in world.plan.of_kind("obstacle"):
+        for name in world.plan.obstacles:
             if name in world.obstacles:
                 gap = np.minimum(gap, world.obstacles[name].nearest_within(x, y, z, flow.clearance).t)
         tight = np.clip(1 - gap / flow.clearance, 0.0, 1.0)

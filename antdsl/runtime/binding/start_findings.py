@@ -76,7 +76,7 @@ def crowding_warnings(scene: Scene, world: World) -> Report:
     lies off all surfaces is skipped, because it was reported before."""
     report, setting = Report(), world.setting
     for line in world.crowded:
-        if is_off_surface(setting.crowds[line.group].place, setting.surfaces, setting.solids, scene.model.up):
+        if is_off_surface(setting.crowds[line.group].place, setting, scene.model.up):
             continue
         low, high = (f"{radius:.3g}" for radius in line.radius)
         wide = f"{low} mm" if low == high else f"{low} to {high} mm"

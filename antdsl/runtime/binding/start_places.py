@@ -172,7 +172,7 @@ def is_inside_obstacle(world: World, points: Floats) -> NDArray[np.bool_]:
     """Whether points lie in an obstacle: the first face above them shows its back."""
     is_inside = np.zeros(len(points), np.bool_)
     up = np.broadcast_to(world.up, points.shape)
-    for name in world.plan.of_kind("obstacle"):
+    for name in world.plan.obstacles:
         mesh = world.setting.obstacles.get(name)
         if mesh is None or not len(mesh.faces):
             continue

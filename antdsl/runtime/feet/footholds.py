@@ -11,22 +11,8 @@ import numpy as np
 from antdsl.casting.grid_rays import AHEAD, Grid, first_hit, prefetch_rays
 from antdsl.casting.ray_walks import Rings, fetch_start, walked_hit
 from antdsl.casting.tolerances import FURTHER, UNSURE
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I16,
-    I32,
-    I64,
-    U8,
-    Array1,
-    Array2,
-    Array3,
-    independent,
-    inlined,
-    kernel,
-    scratch,
-)
+from antdsl.machine_code.kernels import independent, inlined, kernel, scratch
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I16, I32, I64, U8, Array1, Array2, Array3
 from antdsl.numerics.kernel_vectors import dot, minus, of, put_vector
 from antdsl.runtime.feet.bodies import body_at, fetch_columns
 from antdsl.runtime.feet.gaits import HIP, REACHED, SINK

@@ -299,7 +299,7 @@ def _cast_on_solid(
     a, w = origin[:, near], displacement[:, near]
     length = _length(w)
     unit = w / np.maximum(length, 1e-300)
-    hits = obstacle.cast_feelers(*a, *unit, length)  # type: ignore[call-arg]
+    hits = obstacle.cast_feelers(a, unit, length)
     part = hits.t.astype(np.float64) / np.maximum(length, 1e-300)
     hit_rows = np.flatnonzero(hits.hit & (part < ground_hits.part[near]))
     place = a[:, hit_rows] + w[:, hit_rows] * part[hit_rows]

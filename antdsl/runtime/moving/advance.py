@@ -154,7 +154,7 @@ class _Crowd:
     def bend_at_obstacles(self) -> None:
         """Bend steps along obstacles in the way, and update the velocities of the agents with bent steps."""
         world, p = self.world, self.population
-        if not world.plan.of_kind("obstacle"):
+        if not world.plan.obstacles:
             return
         intended_step, up = self.step, p.normal.T
         step = keep_least_speed(world, p, slide(world, p, intended_step, up, p.now["radius"]), up, self.dt)
@@ -259,7 +259,7 @@ def keep_least_speed(world: World, population: Population, step: Vector, up: Col
     """Return steps (mm) that obstacles have bent. For agents that must keep moving, they have the least length in the same
     direction, if that is free."""
     now = population.now
-    if LEAST not in now or not world.plan.of_kind("obstacle"):
+    if LEAST not in now or not world.plan.obstacles:
         return step
     size, least_length = vec.length(step), np.minimum(np.maximum(now[LEAST], _F(0)), np.maximum(now["max_speed"], _F(0))) * dt
     short = (size > _F(1e-9)) & (size < least_length * _F(0.999)) & ~population.quarantined & ~find_walkers(world, population)

@@ -7,20 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I64,
-    Array1,
-    Array2,
-    Strided2,
-    called,
-    fetch_ahead,
-    independent,
-    inlined,
-    kernel,
-)
+from antdsl.machine_code.kernels import called, fetch_ahead, independent, inlined, kernel
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I64, Array1, Array2, Strided2
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, minus, of, plus, times
 from antdsl.numerics.sorting import compact_indices
 

@@ -31,7 +31,7 @@ def move_world(world: World) -> None:
     for population, rows, previous_axes in standing:
         if ground is not None and previous_axes is not None and len(rows):
             _carry_riders(ground, population, rows, previous_axes)
-    for name in world.plan.of_kind("obstacle"):
+    for name in world.plan.obstacles:
         if name in world.setting.moves.meshes and name in world.obstacles:
             for population, _, _ in standing:
                 _push_out(world, population, name)

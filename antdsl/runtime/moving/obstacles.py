@@ -63,7 +63,7 @@ def _measure_drift(population: Population, rows: NDArray[np.intp]) -> tuple[Vect
 
 def _obstacle_names(world: World) -> list[str]:
     """Obstacles that there are."""
-    return [name for name in world.plan.of_kind("obstacle") if name in world.obstacles]
+    return [name for name in world.plan.obstacles if name in world.obstacles]
 
 
 def obstacle_mesh(world: World, name: str) -> RayScene:
@@ -108,7 +108,7 @@ def _slide_along(
     a, b, c = new_steps
     if asking:
         px, py, pz, dx, dy, dz, reach, size, margin = rays[:, :asking]
-        hits = scene.cast_feelers(px, py, pz, dx, dy, dz, reach, threads=threads)
+        hits = scene.cast_feelers((px, py, pz), (dx, dy, dz), reach, threads)
         hit_rows = np.flatnonzero(hits.hit)
         if len(hit_rows):
             free = np.clip(hits.t[hit_rows] - margin[hit_rows], _F(0), size[hit_rows])
@@ -175,7 +175,7 @@ def _find_hits(
     going = np.flatnonzero(size > _LEAST)
     size, margin = size[going], margin[going]
     direction = vec.scale(vec.take(step, going), _F(1) / size)
-    hits = scene.cast_feelers(*vec.take(place, going), *direction, size + margin, threads=threads)
+    hits = scene.cast_feelers(vec.take(place, going), direction, size + margin, threads)
     hit_rows = np.flatnonzero(hits.hit)
     free = np.clip(hits.t[hit_rows] - margin[hit_rows], _F(0), size[hit_rows])
     return going[hit_rows], free, (hits.nx[hit_rows], hits.ny[hit_rows], hits.nz[hit_rows])

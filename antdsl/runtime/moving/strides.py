@@ -21,21 +21,8 @@ from antdsl.ground.mesh.walk import (  # fmt: skip
 )
 from antdsl.ground.mesh.walkers import Clearances, Placed, Surface
 from antdsl.ground.plane import walk_straight
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I32,
-    I64,
-    U8,
-    Array1,
-    Array2,
-    fetch_ahead,
-    independent,
-    inlined,
-    kernel,
-    three,
-)  # fmt: skip
+from antdsl.machine_code.kernels import fetch_ahead, independent, inlined, kernel, three
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, U8, Array1, Array2
 from antdsl.numerics.kernel_vectors import Vec3, VectorColumns, dot, times
 from antdsl.runtime.moving.rises import WIDEST, half_size
 from antdsl.runtime.moving.tilting import begin_stance

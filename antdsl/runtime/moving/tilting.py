@@ -13,21 +13,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import (
-    BOOL,
-    F32,
-    F64,
-    I32,
-    I64,
-    Array1,
-    Array2,
-    Strided2,
-    called,
-    independent,
-    inlined,
-    kernel,
-    three,
-)
+from antdsl.machine_code.kernels import called, independent, inlined, kernel, three
+from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2, Strided2
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.elementary_loops import atan2, cos_sin

@@ -108,13 +108,14 @@ def _count_wrong_sides(mesh: MeshData) -> tuple[int, int]:
     return count_inside_out(mesh.vertices, mesh.faces)
 
 
-def check_sides(staging: Staging, name: str, mesh: MeshData) -> None:
-    """Warn of an obstacle with parts that face inward: agents would be held inside instead of outside."""
-    inward, mixed = _count_wrong_sides(mesh)
-    if inward or mixed:
-        words = f"parts of the obstacle `{name}` look inward" if inward else f"faces of the obstacle `{name}` look either way"
-        help = "turn its faces so that all look outward; leave it if it is a room that keeps agents in"
-        staging.report.warning("inside-out", words, staging.scene.span("world", name), help)
+def check_sides(staging: Staging) -> None:
+    """Warn of obstacles with parts that face inward: agents would be held inside instead of outside."""
+    for name, mesh in staging.obstacles.items():
+        inward, mixed = _count_wrong_sides(mesh)
+        if inward or mixed:
+            words = f"parts of the obstacle `{name}` look inward" if inward else f"faces of the obstacle `{name}` look either way"
+            help = "turn its faces so that all look outward; leave it if it is a room that keeps agents in"
+            staging.report.warning("inside-out", words, staging.scene.span("world", name), help)
 
 
 @cached_per_mesh

@@ -251,9 +251,8 @@ def _split_chunks(data: bytes) -> tuple[bytes, bytes | None]:
 
 def _parse_json(text: bytes) -> dict[str, Any]:
     if len(text) > limits.BODY_TEXT_BYTES:
-        raise GltfError(
-            f"has more than {limits.BODY_TEXT_BYTES:,} bytes of JSON", "write its buffers to a .bin file", "too-large"
-        )
+        words = f"has more than {limits.BODY_TEXT_BYTES:,} bytes of JSON"
+        raise GltfError(words, "write its buffers to a .bin file", "too-large")
     try:
         document = json.loads(text.decode("utf-8-sig"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError):

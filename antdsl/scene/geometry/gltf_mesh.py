@@ -11,17 +11,7 @@ from numpy.typing import NDArray
 
 from antdsl import limits
 from antdsl.diagnostics.model import printable
-from antdsl.scene.geometry.gltf_file import (
-    FAN,
-    STRIP,
-    TRIANGLES,
-    Gltf,
-    GltfError,
-    node_parents,
-    nodes_below,
-    primitive_triangles,
-    scene_roots,
-)
+from antdsl.scene.geometry import gltf_file
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import apply_transforms, compose, determinant, still, transform_of_parts
 from antdsl.scene.geometry.mesh_text import VERTICES, MeshError
@@ -44,23 +34,23 @@ def read_gltf_mesh(data: bytes, notes: ImportNotes, part: str | None, beside: Be
     notes.form = "binary glTF" if data[:4] == b"glTF" else "glTF"
     try:
         with np.errstate(all="ignore"):
-            return _read_scene(Gltf(data, beside), notes, part)
-    except GltfError as why:
+            return _read_scene(gltf_file.Gltf(data, beside), notes, part)
+    except gltf_file.GltfError as why:
         raise MeshError(str(why), why.help) from None
 
 
-def _read_scene(file: Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
+def _read_scene(file: gltf_file.Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh:
     nodes, meshes = file.top("nodes"), file.top("meshes")
-    parents = node_parents(file)
-    roots = scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
-    scene_nodes = nodes_below(file, roots)
+    parents = gltf_file.node_parents(file)
+    roots = gltf_file.scene_roots(file) or [number for number, parent in enumerate(parents) if parent < 0]
+    scene_nodes = gltf_file.nodes_below(file, roots)
     chosen = set(scene_nodes) if part is None else _find_named_nodes(file, scene_nodes, part)
     notes.skip("animations", len(file.top("animations")))
     in_scene = set(scene_nodes)
     others = [number for number, node in enumerate(nodes) if "mesh" in node and number not in in_scene]
     if part is None and others:
         notes.skip("nodes with a mesh outside of the scene", len(others))
-    hidden = set(nodes_below(file, _topmost_nodes([n for n in scene_nodes if _is_hidden(file, nodes[n])], parents)))
+    hidden = set(gltf_file.nodes_below(file, _topmost_nodes([n for n in scene_nodes if _is_hidden(file, nodes[n])], parents)))
     unseen = sum("mesh" in nodes[number] for number in hidden & chosen)
     notes.skip(f"nodes with a mesh that are not visible ({_VISIBILITY})", unseen)
     chosen -= hidden
@@ -96,7 +86,7 @@ def _read_scene(file: Gltf, notes: ImportNotes, part: str | None) -> PolygonMesh
     return PolygonMesh.of_triangles(np.concatenate(points), np.concatenate(faces))
 
 
-def _is_hidden(file: Gltf, node: dict[str, Any]) -> bool:
+def _is_hidden(file: gltf_file.Gltf, node: dict[str, Any]) -> bool:
     return file.get_object(file.get_object(node, "extensions"), _VISIBILITY).get("visible", True) is False
 
 
@@ -112,7 +102,7 @@ def _topmost_nodes(numbers: list[int], parents: list[int]) -> list[int]:
     return tops
 
 
-def _node_transform(file: Gltf, node: dict[str, Any]) -> Floats:
+def _node_transform(file: gltf_file.Gltf, node: dict[str, Any]) -> Floats:
     """Return the transform (3, 4) from a node's space to that of its parent."""
     if "matrix" in node:
         return file.get_floats(node, "matrix", tuple(np.eye(4).ravel())).reshape(4, 4).T[:3]
@@ -123,7 +113,7 @@ def _node_transform(file: Gltf, node: dict[str, Any]) -> Floats:
     )
 
 
-def _find_named_nodes(file: Gltf, scene_nodes: list[int], part: str) -> set[int]:
+def _find_named_nodes(file: gltf_file.Gltf, scene_nodes: list[int], part: str) -> set[int]:
     """Return the nodes that have a name, or have a mesh of that name, and all nodes below them."""
     from antdsl.diagnostics.suggestion import nearest_name
 
@@ -141,25 +131,27 @@ def _find_named_nodes(file: Gltf, scene_nodes: list[int], part: str) -> set[int]
     chosen: set[int] = set()
     for number in names[part]:
         if number not in chosen:
-            chosen.update(nodes_below(file, [number]))
+            chosen.update(gltf_file.nodes_below(file, [number]))
     return chosen
 
 
-def _read_primitive(file: Gltf, primitive: dict[str, Any], notes: ImportNotes) -> tuple[Floats, NDArray[np.int64]] | None:
+def _read_primitive(
+    file: gltf_file.Gltf, primitive: dict[str, Any], notes: ImportNotes
+) -> tuple[Floats, NDArray[np.int64]] | None:
     """Return the points and triangles of a primitive. If it has none that can be read, return None and add a note."""
-    mode = primitive.get("mode", TRIANGLES)
-    if mode not in (TRIANGLES, STRIP, FAN):
+    mode = primitive.get("mode", gltf_file.TRIANGLES)
+    if mode not in (gltf_file.TRIANGLES, gltf_file.STRIP, gltf_file.FAN):
         known = isinstance(mode, int) and not isinstance(mode, bool) and 0 <= mode < len(_MODES)
         notes.skip(f"primitives of {_MODES[mode]}" if known else f"primitives of the unknown mode `{printable(str(mode)[:20])}`")
         return None
     if _DRACO in file.get_object(primitive, "extensions"):
-        raise GltfError("is compressed with Draco, which is not read", "export it without compression")
+        raise gltf_file.GltfError("is compressed with Draco, which is not read", "export it without compression")
     attributes = file.get_object(primitive, "attributes")
     if "POSITION" not in attributes:
         notes.skip("primitives without positions")
         return None
     points = file.read_accessor(attributes["POSITION"], 3).astype(np.float64)
     notes.skip("morph targets", len(file.get_list(primitive, "targets")))
-    triangles, over = primitive_triangles(file, primitive, len(points))
+    triangles, over = gltf_file.primitive_triangles(file, primitive, len(points))
     notes.skip("corners of an incomplete triangle", over)
     return points, triangles

@@ -8,19 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from antdsl import limits
+from antdsl.scene.geometry import mesh_text
 from antdsl.scene.geometry.import_notes import ImportNotes
-from antdsl.scene.geometry.mesh_text import (
-    VERTICES,
-    Block,
-    Floats,
-    Integers,
-    MeshError,
-    check_count,
-    check_text,
-    display_word,
-    plain_text,
-    read_blocks,
-)
 from antdsl.scene.geometry.polygons import PolygonMesh
 
 # Keywords without geometry: names, looks, numbers that belong to vertices.
@@ -32,9 +21,9 @@ _FREE_FORM = frozenset(b"vp cstype deg bmat step parm trim hole scrv sp end con 
 def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> PolygonMesh:
     """Return vertices and polygons of a file, or of one named group or object. Raises MeshError with the reason."""
     notes.form = "Wavefront .obj"
-    check_text(data)
+    mesh_text.check_text(data)
     reader = _Reader(notes, group)
-    for block in read_blocks(plain_text(data, wavefront=True)):
+    for block in mesh_text.read_blocks(mesh_text.plain_text(data, wavefront=True)):
         reader.read_block(block)
     return reader.mesh()
 
@@ -43,17 +32,17 @@ def read_obj(data: bytes, notes: ImportNotes, group: str | None = None) -> Polyg
 class _Reader:
     notes: ImportNotes
     group: str | None
-    points: list[Floats] = field(default_factory=list)
-    indices: list[Integers] = field(default_factory=list)
-    counts: list[Integers] = field(default_factory=list)
-    lines: list[Integers] = field(default_factory=list)
+    points: list[mesh_text.Floats] = field(default_factory=list)
+    indices: list[mesh_text.Integers] = field(default_factory=list)
+    counts: list[mesh_text.Integers] = field(default_factory=list)
+    lines: list[mesh_text.Integers] = field(default_factory=list)
     vertices: int = 0
     corners: int = 0
     names: dict[str, None] = field(default_factory=dict)
     in_group: bool = False
     in_object: bool = False
 
-    def read_block(self, block: Block) -> None:
+    def read_block(self, block: mesh_text.Block) -> None:
         """Read the lines of a block."""
         kind = block.line_keywords()
         vertex, face = kind == b"v", (kind == b"f") | (kind == b"fo")
@@ -75,42 +64,43 @@ class _Reader:
             elif word in _FREE_FORM:
                 self.notes.skip("free-form geometry", 1, line)
             else:
-                self.notes.skip(f"unknown keyword `{display_word(word)}`", 1, line)
+                self.notes.skip(f"unknown keyword `{mesh_text.display_word(word)}`", 1, line)
 
-    def _read_vertices(self, number: Integers, first: Integers, count: Integers, block: Block) -> None:
+    def _read_vertices(
+        self, number: mesh_text.Integers, first: mesh_text.Integers, count: mesh_text.Integers, block: mesh_text.Block
+    ) -> None:
         short = np.flatnonzero(count < 4)
         if len(short):
-            raise MeshError(f"has a vertex of fewer than three numbers in line {number[short[0]]:,}")
+            raise mesh_text.MeshError(f"has a vertex of fewer than three numbers in line {number[short[0]]:,}")
         self.vertices += len(first)
-        check_count(self.vertices, VERTICES, "vertices")
+        mesh_text.check_count(self.vertices, mesh_text.VERTICES, "vertices")
         self.points.append(block.read_floats(first[:, None] + np.arange(1, 4), "a vertex"))
 
-    def _read_faces(self, block: Block, lines: Integers, vertex_counts: Integers) -> None:
+    def _read_faces(self, block: mesh_text.Block, lines: mesh_text.Integers, vertex_counts: mesh_text.Integers) -> None:
         count = block.count[lines] - 1
         number = block.number[lines]
         short = np.flatnonzero(count < 3)
         if len(short):
-            raise MeshError(f"has a face of fewer than three corners in line {number[short[0]]:,}")
+            raise mesh_text.MeshError(f"has a face of fewer than three corners in line {number[short[0]]:,}")
         self.corners += int(count.sum())
-        check_count(self.corners // 3, limits.MESH_FACES, "faces")
+        mesh_text.check_count(self.corners // 3, limits.MESH_FACES, "faces")
         within = np.arange(int(count.sum())) - np.repeat(np.cumsum(count) - count, count)
         at = np.repeat(block.first[lines] + 1, count) + within
         index, is_integer = block.read_integers(at, slash=True)
         wrong = np.flatnonzero(~is_integer | (index == 0))
         if len(wrong):
-            word = block.words[at[wrong[0]]]
-            raise MeshError(
-                f"has a corner `{display_word(word)}` that is no vertex number in line {block.line_number(int(at[wrong[0]])):,}"
-            )
+            word = mesh_text.display_word(block.words[at[wrong[0]]])
+            line = block.line_number(int(at[wrong[0]]))
+            raise mesh_text.MeshError(f"has a corner `{word}` that is no vertex number in line {line:,}")
         back = np.repeat(vertex_counts, count)
         absent = np.flatnonzero(index < -back)
         if len(absent):
-            raise MeshError(_missing_vertex_text(int(index[absent[0]]), block.line_number(int(at[absent[0]]))))
+            raise mesh_text.MeshError(_missing_vertex_text(int(index[absent[0]]), block.line_number(int(at[absent[0]]))))
         self.indices.append(np.where(index < 0, back + index, index - 1))
         self.counts.append(count)
         self.lines.append(number)
 
-    def _is_chosen(self, block: Block, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
+    def _is_chosen(self, block: mesh_text.Block, kind: NDArray[np.bytes_]) -> NDArray[np.bool_]:
         """Return whether each line is below the named group or object."""
         is_chosen = np.zeros(len(block), np.bool_)
         begin = 0
@@ -132,14 +122,14 @@ class _Reader:
     def mesh(self) -> PolygonMesh:
         """All that was read."""
         if self.group is not None and not self.counts:
-            raise MeshError(_missing_group_text(self.group, list(self.names)), None)
+            raise mesh_text.MeshError(_missing_group_text(self.group, list(self.names)), None)
         points = np.concatenate(self.points) if self.points else np.empty((0, 3))
         indices = np.concatenate(self.indices) if self.indices else np.empty(0, np.int64)
         counts = np.concatenate(self.counts) if self.counts else np.empty(0, np.int64)
         absent = np.flatnonzero(indices >= len(points))
         if len(absent):
             face = int(np.searchsorted(np.cumsum(counts), absent[0], side="right"))
-            raise MeshError(_missing_vertex_text(int(indices[absent[0]]) + 1, int(np.concatenate(self.lines)[face])))
+            raise mesh_text.MeshError(_missing_vertex_text(int(indices[absent[0]]) + 1, int(np.concatenate(self.lines)[face])))
         return PolygonMesh(points, counts, indices)
 
 

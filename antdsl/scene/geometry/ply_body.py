@@ -108,9 +108,8 @@ def read_elements(
     for element in header.elements:
         names = [p.name for p in element.properties]
         if twice := next((name for k, name in enumerate(names) if name in names[:k]), None):
-            raise HeaderError(
-                f"names the property `{display_word(twice.encode())}` of `{display_word(element.name.encode())}` twice"
-            )
+            words = f"names the property `{display_word(twice.encode())}` of `{display_word(element.name.encode())}` twice"
+            raise HeaderError(words)
     read: _TextBody | _BinaryBody = _BinaryBody(data, header) if header.order else _TextBody(data, header)
     element_columns: dict[int, Columns] = {}
     for element in header.elements:
@@ -256,9 +255,8 @@ class _BinaryBody:
             raise HeaderError(f"{_SHORT}: it ends in its {display_word(element.name.encode())} {row}")
         count = np.frombuffer(self._data, self._order + kind, 1, at)[0]
         if not (count >= 0 and np.isfinite(count)):
-            raise HeaderError(
-                f"has a list of {count:,} values in its {display_word(element.name.encode())} {row}, more than the file has"
-            )
+            words = f"has a list of {count:,} values in its {display_word(element.name.encode())} {row}, more than the file has"
+            raise HeaderError(words)
         return int(count)
 
     def _read_uneven(self, element: Element, requested_names: Collection[str]) -> Columns:

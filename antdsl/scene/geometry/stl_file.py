@@ -8,19 +8,10 @@ import struct
 import numpy as np
 
 from antdsl import limits
+from antdsl.scene.geometry import mesh_text
 from antdsl.scene.geometry.arrays import to_float64
 from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import distinct_points
-from antdsl.scene.geometry.mesh_text import (
-    Floats,
-    Integers,
-    MeshError,
-    check_count,
-    check_text,
-    display_word,
-    plain_text,
-    read_blocks,
-)
 from antdsl.scene.geometry.polygons import PolygonMesh
 
 _HEAD, _FACE = 84, 50  # bytes before the first face, and of each
@@ -33,7 +24,7 @@ def read_stl(data: bytes, notes: ImportNotes) -> PolygonMesh:
     corners = _read_text(data, notes) if _is_text(data) else _read_binary(data, notes)
     wrong = np.flatnonzero(~np.isfinite(corners).all(axis=1))
     if len(wrong):
-        raise MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
+        raise mesh_text.MeshError(f"has a corner (of face {wrong[0] // 3}) that is not a finite point")
     order, new, which = distinct_points(corners)
     return PolygonMesh.of_triangles(corners[order[new]], which.reshape(-1, 3))
 
@@ -45,25 +36,25 @@ def _is_text(data: bytes) -> bool:
         return False
     head = data[: 64 * limits.KIB]
     if head.startswith((b"\xff\xfe", b"\xfe\xff")):
-        check_text(head)
+        mesh_text.check_text(head)
     solid = _BEFORE_SOLID.sub(b"", head, count=1)[:5].lower() == b"solid"
     return solid and b"\0" not in head and b"facet" in head.lower()
 
 
-def _read_binary(data: bytes, notes: ImportNotes) -> Floats:
+def _read_binary(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
     notes.form = "binary .stl"
     if len(data) < _HEAD:
-        raise MeshError(_MISSING)
+        raise mesh_text.MeshError(_MISSING)
     count = int(struct.unpack_from("<I", data, 80)[0])
     rest = len(data) - _HEAD - _FACE * count
     if rest < 0:
         capacity = (len(data) - _HEAD) // _FACE
-        raise MeshError(f"{_MISSING}: it says it has {count:,} faces, and {capacity:,} fit in its {len(data):,} bytes")
-    check_count(count, limits.MESH_FACES, "faces")
+        raise mesh_text.MeshError(f"{_MISSING}: it says it has {count:,} faces, and {capacity:,} fit in its {len(data):,} bytes")
+    mesh_text.check_count(count, limits.MESH_FACES, "faces")
     tail = data[len(data) - rest :]
     is_padding = not tail.strip(b"\0 \n\r\t\x1a")
     if rest >= _FACE and rest % _FACE == 0 and not is_padding:
-        raise MeshError(f"says it has {count:,} faces, and has {count + rest // _FACE:,}")
+        raise mesh_text.MeshError(f"says it has {count:,} faces, and has {count + rest // _FACE:,}")
     if not is_padding:
         notes.skip(f"{rest:,} bytes after the last face")
     rows = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("pad", "<u2")]), count, _HEAD)
@@ -77,10 +68,10 @@ _KINDS = {
 }  # fmt: skip
 
 
-def _read_text(data: bytes, notes: ImportNotes) -> Floats:
+def _read_text(data: bytes, notes: ImportNotes) -> mesh_text.Floats:
     notes.form = "text .stl"
     corners, kinds, numbers, last = [np.empty((0, 3))], [np.empty(0, np.int64)], [np.empty(0, np.int64)], 0
-    for block in read_blocks(plain_text(data)):
+    for block in mesh_text.read_blocks(mesh_text.plain_text(data)):
         letters = block.line_keywords()
         kind = np.full(len(block), _OTHER)
         for word, code in _KINDS.items():
@@ -88,41 +79,44 @@ def _read_text(data: bytes, notes: ImportNotes) -> Floats:
         vertex = kind == _VERTEX
         short = np.flatnonzero(vertex & (block.count < 4))
         if len(short):
-            raise MeshError(f"has a corner of fewer than three numbers in line {block.number[short[0]]:,}")
+            raise mesh_text.MeshError(f"has a corner of fewer than three numbers in line {block.number[short[0]]:,}")
         corners.append(block.read_floats(block.first[vertex][:, None] + np.arange(1, 4), "a corner"))
         if (kind == _OTHER).any():
             _check_others(
-                block.number, kind, [display_word(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)], notes
+                block.number,
+                kind,
+                [mesh_text.display_word(b" ".join(block.line(int(k)))) for k in np.flatnonzero(kind == _OTHER)],
+                notes,
             )
         used = (kind != _LOOP) & (kind != _SOLID) & (kind != _OTHER)
         kinds.append(kind[used])
         numbers.append(block.number[used])
         last = int(block.number[-1]) if len(block) else last
-        check_count(sum(map(len, corners)) // 3, limits.MESH_FACES, "faces")
+        mesh_text.check_count(sum(map(len, corners)) // 3, limits.MESH_FACES, "faces")
     _check_facets(np.concatenate(kinds), np.concatenate(numbers), last)
     return np.concatenate(corners)
 
 
-def _check_others(number: Integers, kind: Integers, words: list[str], notes: ImportNotes) -> None:
+def _check_others(number: mesh_text.Integers, kind: mesh_text.Integers, words: list[str], notes: ImportNotes) -> None:
     """Raise MeshError for an unknown line within a facet; note other unknown lines."""
     others = np.flatnonzero(kind == _OTHER)
     opened = np.cumsum((kind == _FACET).astype(np.int64) - (kind == _END))
     for place, text in zip(others.tolist(), words, strict=True):
         if opened[place] > 0:
-            raise MeshError(f"has a line {number[place]:,} that is not understood: `{text}`")
+            raise mesh_text.MeshError(f"has a line {number[place]:,} that is not understood: `{text}`")
         notes.skip(f"an invalid line: `{text}`", 1, int(number[place]))
 
 
-def _check_facets(kinds: Integers, numbers: Integers, last: int) -> None:
+def _check_facets(kinds: mesh_text.Integers, numbers: mesh_text.Integers, last: int) -> None:
     """Raise MeshError if lines do not repeat facet, three corners, end of facet."""
     expected_kinds = np.resize(np.array([_FACET, _VERTEX, _VERTEX, _VERTEX, _END]), len(kinds))
     wrong = np.flatnonzero(kinds != expected_kinds)
     if not len(wrong):
         if len(kinds) % 5:
-            raise MeshError(f"ends in line {last:,} with a facet without three corners: a part of it is missing")
+            raise mesh_text.MeshError(f"ends in line {last:,} with a facet without three corners: a part of it is missing")
         return
     k = int(wrong[0])
     if expected_kinds[k] == _FACET and kinds[k] == _VERTEX:
-        raise MeshError(f"has a corner outside of a facet in line {numbers[k]:,}")
+        raise mesh_text.MeshError(f"has a corner outside of a facet in line {numbers[k]:,}")
     k += int((kinds[k:] != _VERTEX).argmax())
-    raise MeshError(f"has a facet without three corners before line {numbers[k]:,}")
+    raise mesh_text.MeshError(f"has a facet without three corners before line {numbers[k]:,}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,31 +11,27 @@ from numpy.typing import NDArray
 from antdsl.numerics.elementary import wide_atan2
 from antdsl.program.model import Dim, Kind, WorldThing
 from antdsl.scene import setting as stage_of
-from antdsl.scene.model import ItemThing, UsdThing
 from antdsl.scene.staging.cached import cached_per_mesh
 from antdsl.scene.staging.stage_things import follow_surface, item_positions, simulated_frames, stage_usd_items
 from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_near_misses
+from antdsl.scene.thing_models import ItemThing, UsdThing
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging
 
 DEFAULT_ITEM_RADIUS = 10.0  # mm
-Laid = tuple[tuple[stage_of.ItemData, ...], NDArray[np.float64]]
 
 
-def place_items(staging: Staging, name: str, surfaces: Mapping[str, stage_of.MeshData]) -> Laid | None:
-    """Return the items of one name as at the first frame, and their positions (frames, n, 3); None for things that are not
-    items."""
-    value, thing = staging.scene.model.world[name], staging.program.world.get(name)
-    if isinstance(value, UsdThing) and thing is not None and thing.kind == "items":
-        return _place_usd_items(staging, name, value, thing)
-    if not isinstance(value, dict):
-        return None
+def place_items(staging: Staging, name: str, value: UsdThing | dict[str, ItemThing]) -> tuple[stage_of.ItemData, ...] | None:
+    """Return the items of one name as at the first frame; or report an error and return None. Their motion goes into
+    `staging.item_tracks`."""
+    if isinstance(value, UsdThing):
+        return _place_usd_items(staging, name, value, staging.program.world[name])
     model = staging.scene.model
     dt = float(1 / model.fps)
     items, tracks = [], []
     for item, placing in value.items():
-        track = _place_item(staging, name, item, placing, surfaces)
+        track = _place_item(staging, name, item, placing)
         if track is None:
             continue
         radius = None if placing.radius is None else placing.radius.length(model.unit_mm)
@@ -44,20 +40,18 @@ def place_items(staging: Staging, name: str, surfaces: Mapping[str, stage_of.Mes
         items.append(stage_of.ItemData(item, position, DEFAULT_ITEM_RADIUS if radius is None else radius, attributes))
         tracks.append(track)
     frames = max((len(track) for track in tracks), default=1)
-    if not tracks:
-        return tuple(items), np.zeros((1, 0, 3))
-    return tuple(items), np.stack([np.broadcast_to(track, (frames, 3)) for track in tracks], axis=1)
+    if frames > 1:
+        staging.item_tracks[name] = np.stack([np.broadcast_to(track, (frames, 3)) for track in tracks], axis=1)
+    return tuple(items)
 
 
-def _place_item(
-    staging: Staging, name: str, item: str, thing: ItemThing, surfaces: Mapping[str, stage_of.MeshData]
-) -> NDArray[np.float64] | None:
+def _place_item(staging: Staging, name: str, item: str, thing: ItemThing) -> NDArray[np.float64] | None:
     """Return an item's position at each frame (frames, 3), one frame if it is static. If it misses its surface, report an error
     and return None.
 
     With `on` it lies on the surface: at each position of its keys, else at one point of a surface that may move."""
     track = item_positions(staging, name, item, thing)
-    mesh = surfaces.get(thing.on) if thing.on is not None else None
+    mesh = staging.surfaces.get(thing.on) if thing.on is not None else None
     if mesh is None or thing.on is None:
         return track
     moves, tall = staging.moves.get(thing.on), 1 if staging.scene.model.up == "y" else 2
@@ -76,29 +70,22 @@ def _place_item(
     return follow_surface(mesh, moves, three(track[0])) if moves is not None and not thing.keys else track
 
 
-def check_crowds(
-    staging: Staging,
-    crowds: Sequence[stage_of.CrowdData],
-    surfaces: Mapping[str, stage_of.MeshData],
-    solids: Mapping[str, stage_of.SolidData],
-) -> None:
+def check_crowds(staging: Staging, crowds: Sequence[stage_of.CrowdData]) -> None:
     """Warn about a crowd that would start where no surface is; it would stand at the nearest surface point."""
     for crowd in crowds:
-        if crowd.count and is_off_surface(crowd.place, surfaces, solids, staging.scene.model.up):
+        if crowd.count and is_off_surface(crowd.place, staging, staging.scene.model.up):
             words = f"there is no surface where `{crowd.species}` is to begin, so it begins at the nearest"
             ball = ", write a larger `radius`" if crowd.place.by_area else ""
             help = f"move it with `around`{ball}, or check the `units` of the mesh"
             staging.report.warning("off-surface", words, staging.scene.span("crowd", crowd.group, "place"), help)
 
 
-def is_off_surface(
-    place: stage_of.PlaceData, surfaces: Mapping[str, stage_of.MeshData], solids: Mapping[str, stage_of.SolidData], up: str
-) -> bool:
+def is_off_surface(place: stage_of.PlaceData, things: Staging | stage_of.Setting, up: str) -> bool:
     """Return whether no surface lies below or above a crowd's start disc, or, with a start by area, in its ball."""
     if place.around is None or place.radius is None:
         return False
-    grounds = {**surfaces, **{name: solid.mesh for name, solid in solids.items()}}
-    usual = surfaces if place.by_area and surfaces else grounds
+    grounds = {**things.surfaces, **{name: solid.mesh for name, solid in things.solids.items()}}
+    usual = things.surfaces if place.by_area and things.surfaces else grounds
     meshes = [grounds[name] for name in place.on or usual if name in grounds]
     axes = (0, 1, 2) if place.by_area else (0, 2) if up == "y" else (0, 1)
     return len(meshes) > 0 and not any(_is_in_reach(mesh, place.around, place.radius, axes) for mesh in meshes)
@@ -124,7 +111,7 @@ def _is_in_reach(mesh: stage_of.MeshData, middle: stage_of.Point, radius: float,
     return bool((inside & (size > 0) & (height * height <= square * size)).any())
 
 
-def _place_usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) -> Laid | None:
+def _place_usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldThing) -> tuple[stage_of.ItemData, ...] | None:
     """Return points or empties of a USD file as items. Radius and attributes come from the file, else from `each`, else from the
     defaults."""
     points = stage_usd_items(staging, name, value)
@@ -147,7 +134,9 @@ def _place_usd_items(staging: Staging, name: str, value: UsdThing, thing: WorldT
         sizes = (points.radius[number], wide[number], DEFAULT_ITEM_RADIUS if radius is None else radius)
         size = next(float(size) for size in sizes if np.isfinite(size) and size > 0)
         items.append(stage_of.ItemData(item, three(points.positions[0, number]), size, {**each, **attributes}))
-    return tuple(items), points.positions
+    if len(points.positions) > 1:
+        staging.item_tracks[name] = points.positions
+    return tuple(items)
 
 
 def _facing_attributes(value: UsdThing) -> tuple[str, ...]:

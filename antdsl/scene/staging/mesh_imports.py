@@ -3,21 +3,21 @@ joined is reported, with what keeps a solid open."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from antdsl.program.tables.things import KINDS_OF_THINGS
 from antdsl.scene import setting as stage_of
 from antdsl.scene.geometry.closed import count_border_edges, count_open_solid_edges, find_odd_edges
 from antdsl.scene.geometry.import_notes import MeshImport
 from antdsl.scene.geometry.live_faces import component_numbers, has_area, has_live_face
 from antdsl.scene.geometry.matrices import distinct_points
 from antdsl.scene.geometry.meshes import RawMesh
-from antdsl.scene.model import HeightThing, MeshThing, UsdThing
 from antdsl.scene.setting import world_origin
+from antdsl.scene.thing_models import HeightThing, MeshThing, ThingModel, UsdThing
 from antdsl.source import Span
 
 if TYPE_CHECKING:
@@ -87,7 +87,8 @@ def weld_thing(
             welding = _weld_mesh(mesh, tolerance)
         except WeldError as why:
             words = f"{written} {why} of `{name}`"
-    if welding is not None and staging.program.world[name].kind == "solid" and is_flat(welding.mesh.vertices, welding.mesh.faces):
+    is_dug = KINDS_OF_THINGS[staging.program.world[name].kind].is_dug
+    if welding is not None and is_dug and is_flat(welding.mesh.vertices, welding.mesh.faces):
         words, welding = f"{written} leaves the solid `{name}` without a volume", None
     if welding is None:
         help = f"write less than {shortest:.3g} mm, its shortest edge"
@@ -164,15 +165,15 @@ def close_solid(staging: Staging, name: str, value: MeshThing | UsdThing, solid:
     return solid
 
 
-def check_live_faces(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
+def check_live_faces(staging: Staging) -> None:
     """Report an error for each surface without a face that is ground, by the rule of the ground itself: no agent could stand on
     it."""
-    if not surfaces:
+    if not staging.surfaces:
         return
-    used = [mesh.vertices[mesh.faces].reshape(-1, 3) for mesh in surfaces.values()]
+    used = [mesh.vertices[mesh.faces].reshape(-1, 3) for mesh in staging.surfaces.values()]
     low, high = (edge([edge(points, axis=0) for points in used], axis=0) for edge in (np.min, np.max))
     extent = float((high - low).max())
-    for name, mesh in surfaces.items():
+    for name, mesh in staging.surfaces.items():
         if has_live_face(mesh.vertices, mesh.faces, extent):
             continue
         display_name, span = mesh_location(staging, name)
@@ -188,20 +189,22 @@ def check_live_faces(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]
 def mesh_location(staging: Staging, name: str) -> tuple[str, Span | None]:
     """Return the name of a thing's mesh in messages, and where the scene names it."""
     value = staging.scene.model.world[name]
-    key = next(key for key in ("mesh", "height", "prim") if hasattr(value, key))
+    assert isinstance(value, ThingModel)
+    key = "prim" if isinstance(value, UsdThing) else value.head()
     return str(value.path if isinstance(value, UsdThing) else getattr(value, key)), staging.scene.span("world", name, key)
 
 
-def collect_imports(staging: Staging, meshes: Mapping[str, stage_of.MeshData]) -> dict[str, MeshImport]:
+def collect_imports(staging: Staging) -> dict[str, MeshImport]:
     """The report on each mesh, in scene units."""
     imports, unit = {}, staging.scene.model.unit_mm
-    for name, mesh in meshes.items():
+    solids = {name: solid.mesh for name, solid in staging.solids.items()}
+    for name, mesh in {**staging.surfaces, **staging.obstacles, **solids}.items():
         raw, value = staging.raw[name], staging.scene.model.world[name]
         notes = raw.notes
         corners = mesh.vertices[mesh.faces].reshape(-1, 3)
         low, high = (edge(corners, axis=0) / unit for edge in (np.min, np.max))
         imports[name] = MeshImport(
-            file=next((str(getattr(value, key)) for key in ("mesh", "height", "usd") if hasattr(value, key)), name),
+            file=str(getattr(value, value.head())) if isinstance(value, ThingModel) else name,
             form=notes.form or ("USD" if isinstance(value, UsdThing) else "heights"),
             vertices=notes.vertices,
             triangles=notes.triangles,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -11,7 +10,6 @@ from antdsl import limits
 from antdsl.diagnostics import Label
 from antdsl.program.model import Const, Expr, Op, ParamRef
 from antdsl.program.tables.vocabulary import LENGTH
-from antdsl.scene import setting as stage_of
 from antdsl.scene.document import Key
 from antdsl.scene.geometry.meshes import mesh_area
 from antdsl.scene.matching import const_in_base_units
@@ -23,8 +21,16 @@ _WIDEST = 1e6  # body lengths: ants in a whole county
 _COARSEST, _FINE = 1 / 3, 1 / 4  # of a body: voxels that are too wide, and good ones
 
 
-def check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> None:
+def check_sizes(staging: Staging) -> None:
+    """Check fields, surfaces and solids, once all meshes are staged without errors."""
+    if staging.report.ok:
+        _check_cells(staging)
+        _check_scale(staging)
+
+
+def _check_cells(staging: Staging) -> None:
     """Refuse fields of more cells than can be."""
+    surfaces = {**staging.surfaces, **{name: solid.mesh for name, solid in staging.solids.items()}}
     for name, declared in staging.program.fields.items():
         if not isinstance(declared.cell, Const):
             continue
@@ -40,7 +46,7 @@ def check_cells(staging: Staging, surfaces: Mapping[str, stage_of.MeshData]) -> 
         )
 
 
-def check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData], solids: Mapping[str, stage_of.SolidData]) -> None:
+def _check_scale(staging: Staging) -> None:
     """Warn about a surface that is hardly larger than its agents, or so large that its units are likely wrong. Also warn about
     voxels too coarse for agents that walk and dig there."""
     for line in staging.scene.model.crowd:
@@ -49,14 +55,14 @@ def check_scale(staging: Staging, surfaces: Mapping[str, stage_of.MeshData], sol
         length = _first_length(size, staging) if size is not None else None
         if length is None:
             continue
-        for name, mesh in surfaces.items():
+        for name, mesh in staging.surfaces.items():
             width = float(np.ptp(mesh.vertices, axis=0).max())
             if not 3 * length <= width <= _WIDEST * length:
                 words = f"`{name}` is {width:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
                 staging.report.warning(
                     "odd-scale", words, staging.scene.span("world", name), "say the mesh's `units`, such as `units: m`"
                 )
-        for name, solid in solids.items():
+        for name, solid in staging.solids.items():
             if solid.voxel > _COARSEST * length:
                 words = f"voxels of `{name}` are {solid.voxel:.3g} mm wide, and a `{line.species}` about {length:.3g} mm long"
                 place, help = staging.scene.span("world", name, "voxel"), f"write `voxel: {_FINE * length:.3g} mm` or less"

@@ -15,10 +15,11 @@ from antdsl.scene import setting as stage_of
 from antdsl.scene.crowd_model import Placement, UsdPlaces, Walk
 from antdsl.scene.document import Key
 from antdsl.scene.load import Scene
-from antdsl.scene.model import Point, millimetres
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.stage_things import stage_usd_places
 from antdsl.scene.staging.usd_values import UsdFile, read_in_base_units, warn_near_misses
+from antdsl.scene.thing_models import millimetres
+from antdsl.scene.values import Point
 
 if TYPE_CHECKING:
     from antdsl.scene.staging.stage_scene import Staging

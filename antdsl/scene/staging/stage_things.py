@@ -17,22 +17,22 @@ from antdsl.scene.geometry.import_notes import ImportNotes
 from antdsl.scene.geometry.matrices import apply_transforms, has_inverse
 from antdsl.scene.geometry.mesh_text import MeshError
 from antdsl.scene.geometry.meshes import RawMesh, check_mesh, mesh_arrays, rotate_points, rotate_up
-from antdsl.scene.model import (
-    UNIT_MM,
-    CurveThing,
-    HeightThing,
-    ItemThing,
-    MeshThing,
-    PaintedThing,
-    PlaceKey,
-    Point,
-    UsdCamera,
-    UsdThing,
-    millimetres,
-)
+from antdsl.scene.model import UsdCamera
 from antdsl.scene.paths import PathRefused
 from antdsl.scene.quantities import Quantity
 from antdsl.scene.staging.moves import MeshMoves
+from antdsl.scene.thing_models import (
+    UNIT_MM,
+    CurveThing,
+    ItemThing,
+    MeshThing,
+    PaintedThing,
+    PlacedThing,
+    UsdThing,
+    angles,
+    millimetres,
+)
+from antdsl.scene.values import PlaceKey, Point
 
 if TYPE_CHECKING:
     from antdsl.scene.geometry.usd import UsdPoints, UsdStage
@@ -82,7 +82,7 @@ def interpolate_keys(
     at = {f: millimetres(key.at, unit_mm) for f, key in keys.items() if key.at is not None}
     turn = {f: tuple(a.number for a in key.rotate) for f, key in keys.items() if key.rotate is not None}
     if not at:
-        at = {0: millimetres(own_at, unit_mm) if own_at else (0.0, 0.0, 0.0)}
+        at = {0: millimetres(own_at, unit_mm)}
     if not turn:
         turn = {0: tuple(a.number for a in own_turn) if own_turn else (0.0, 0.0, 0.0)}
     return _interpolate(at, frames), _interpolate(turn, frames)
@@ -94,9 +94,7 @@ def _interpolate(keys: Mapping[int, tuple[float, ...]], frames: Sequence[int]) -
     return np.stack([np.interp(np.array(frames, np.float64), times, values[:, axis]) for axis in range(3)], axis=1)
 
 
-def _key_transforms(
-    staging: Staging, value: MeshThing | HeightThing | UsdThing | CurveThing, factor: float, own_up: str
-) -> Floats | None:
+def _key_transforms(staging: Staging, value: PlacedThing | CurveThing, factor: float, own_up: str) -> Floats | None:
     """Return the transforms (frames, 3, 4) of a file's positions into the scene, if the scene has keys for it."""
     model, frames = staging.scene.model, simulated_frames(staging)
     placed = interpolate_keys(value.keys, value.at, getattr(value, "rotate", None), frames, model.unit_mm)
@@ -171,7 +169,7 @@ def stage_usd_mesh(staging: Staging, name: str, value: UsdThing) -> tuple[RawMes
 
 
 def place_moves(
-    staging: Staging, value: MeshThing | HeightThing | UsdThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
+    staging: Staging, value: PlacedThing, raw: RawMesh, inner: MeshMoves | None, factor: float, own_up: str
 ) -> tuple[Floats, MeshMoves | None] | None:
     """Return the vertices at rest and the motion of a mesh that moves in its file, by keys, or both; None if it does not move."""
     transforms = _key_transforms(staging, value, factor, own_up)
@@ -186,13 +184,13 @@ def place_moves(
     return rest, None if (transforms == transforms[0]).all() else MeshMoves.rigid(transforms, len(rest))
 
 
-def first_rotation(staging: Staging, value: MeshThing | HeightThing | UsdThing) -> tuple[float, float, float]:
+def first_rotation(staging: Staging, value: PlacedThing) -> tuple[float, float, float]:
     """Return the rotation of a mesh at the first frame, radians about x, then y, then z."""
     placed = interpolate_keys(value.keys, value.at, value.rotate, simulated_frames(staging)[:1], staging.scene.model.unit_mm)
     if placed is not None:
         x, y, z = placed[1][0].tolist()
         return x, y, z
-    return (value.rotate[0].number, value.rotate[1].number, value.rotate[2].number) if value.rotate else (0.0, 0.0, 0.0)
+    return angles(value)
 
 
 def limit_length(vectors: Floats) -> Floats:
@@ -264,14 +262,17 @@ def stage_curve(staging: Staging, name: str, value: CurveThing | UsdThing) -> Fl
         return None
     transforms = _key_transforms(staging, value, factor, own_up)
     if transforms is None:
-        angles = value.rotate if isinstance(value, UsdThing) and value.rotate else None
-        at = np.array(millimetres(value.at, model.unit_mm) if value.at else (0.0, 0.0, 0.0))
-        turn = tuple(a.number for a in angles) if angles else (0.0, 0.0, 0.0)
-        return np.stack([rotate_points(rotate_up(line * factor, own_up, model.up), turn) + at for line in positions])  # type: ignore[arg-type]
+        at = np.array(millimetres(value.at, model.unit_mm))
+        turn = angles(value) if isinstance(value, UsdThing) else (0.0, 0.0, 0.0)
+        return np.stack([rotate_points(rotate_up(line * factor, own_up, model.up), turn) + at for line in positions])
+    return _apply_by_frame(transforms, positions)
+
+
+def _apply_by_frame(transforms: Floats, positions: Floats) -> Floats:
+    """Return positions (frames, k, 3) after the transforms of their frames; the last of each holds for later frames."""
     count = max(len(positions), len(transforms))
-    return np.stack(
-        [apply_transforms(transforms[min(k, len(transforms) - 1)], positions[min(k, len(positions) - 1)]) for k in range(count)]
-    )
+    frames = [(min(k, len(transforms) - 1), min(k, len(positions) - 1)) for k in range(count)]
+    return np.stack([apply_transforms(transforms[i], positions[j]) for i, j in frames])
 
 
 # ---- items
@@ -307,15 +308,12 @@ def stage_usd_items(staging: Staging, name: str, value: UsdThing) -> UsdPoints |
         )
         assert transforms is not None
         transforms = transforms[:1]
-    count = max(len(points.positions), len(transforms))
-    moved = [
-        apply_transforms(transforms[min(k, len(transforms) - 1)], points.positions[min(k, len(points.positions) - 1)])
-        for k in range(count)
-    ]
     ahead = apply_transforms(np.concatenate([transforms[0][:, :3], np.zeros((3, 1))], axis=1), points.ahead) * np.sign(
         value.scale
     )
-    return replace(points, positions=np.stack(moved), radius=points.radius * abs(value.scale), ahead=ahead)
+    return replace(
+        points, positions=_apply_by_frame(transforms, points.positions), radius=points.radius * abs(value.scale), ahead=ahead
+    )
 
 
 def stage_usd_places(staging: Staging, value: UsdPlaces, *path: Key) -> UsdPoints | None:

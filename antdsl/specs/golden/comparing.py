@@ -7,18 +7,7 @@ from pathlib import Path
 
 from antdsl.diagnostics import Report
 from antdsl.specs.cases import Run
-from antdsl.specs.golden.recorded import (
-    Comparer,
-    Golden,
-    GoldenError,
-    GoldenResult,
-    GoldenRun,
-    Recorder,
-    Watch,
-    golden_path,
-    read_golden,
-    write_golden,
-)
+from antdsl.specs.golden import recorded
 
 Key = tuple[Path, tuple[tuple[str, str], ...]]
 
@@ -30,61 +19,61 @@ class Goldens:
 
     update: bool = False
     report: Report = field(default_factory=Report)
-    results: list[GoldenResult] = field(default_factory=list)
-    files: dict[Path, Golden | None] = field(default_factory=dict)
-    recorders: dict[Key, tuple[Run, Recorder]] = field(default_factory=dict)
+    results: list[recorded.GoldenResult] = field(default_factory=list)
+    files: dict[Path, recorded.Golden | None] = field(default_factory=dict)
+    recorders: dict[Key, tuple[Run, recorded.Recorder]] = field(default_factory=dict)
 
-    def watch(self, run: Run, frames: int) -> Watch | None:
+    def watch(self, run: Run, frames: int) -> recorded.Watch | None:
         """Return the watch for a run of about `frames` frames, or None."""
         scene = run.cases[0].scene
         changes = {change.name: "".join(change.value.span.text.split()) for change in run.cases[0].spec.changes}
-        result = GoldenResult(scene, dict(sorted(changes.items())), run.seed)
+        result = recorded.GoldenResult(scene, dict(sorted(changes.items())), run.seed)
         if self.update:
             key = (scene.resolve(), tuple(result.changes.items()))
             if key in self.recorders:
                 return None
             self.results.append(result)
-            self.recorders[key] = (run, Recorder(run, result, frames))
+            self.recorders[key] = (run, recorded.Recorder(run, result, frames))
             return self.recorders[key][1]
         golden_file = self._read_golden(scene)
         golden = None if golden_file is None else _find_golden_run(golden_file, result)
         if golden_file is None or golden is None or not golden.frames:
             return None
         self.results.append(result)
-        return Comparer(run, result, golden, golden_file.made)
+        return recorded.Comparer(run, result, golden, golden_file.made)
 
-    def _read_golden(self, scene: Path) -> Golden | None:
-        path = golden_path(scene)
+    def _read_golden(self, scene: Path) -> recorded.Golden | None:
+        path = recorded.golden_path(scene)
         if path not in self.files:
             self.files[path] = None
             try:
-                self.files[path] = read_golden(path)
-            except GoldenError as why:
+                self.files[path] = recorded.read_golden(path)
+            except recorded.GoldenError as why:
                 self.report.error("wrong-value", str(why), None, "record it again with `antdsl test … --update`")
         return self.files[path]
 
     def write(self) -> None:
         """With `update`, write what was recorded. A run that failed its specs does not become golden. Other runs of a file
         stay."""
-        new: dict[Path, list[GoldenRun]] = {}
+        new: dict[Path, list[recorded.GoldenRun]] = {}
         for run, recorder in self.recorders.values():
             if any(case.outcome == "failed" for case in run.cases):
                 recorder.result.words = "not written: its specs failed"
             elif recorder.made is not None:
-                new.setdefault(golden_path(run.cases[0].scene), []).append(recorder.made)
+                new.setdefault(recorded.golden_path(run.cases[0].scene), []).append(recorder.made)
                 recorder.result.outcome = "written"
         for path, runs in new.items():
             self._merge(path, runs)
 
-    def _merge(self, path: Path, runs: list[GoldenRun]) -> None:
+    def _merge(self, path: Path, runs: list[recorded.GoldenRun]) -> None:
         try:
-            old = read_golden(path)
-        except GoldenError:
+            old = recorded.read_golden(path)
+        except recorded.GoldenError:
             old = None  # damaged: the reason to rewrite it
         fresh = {(tuple(sorted(run.set.items())), run.seed) for run in runs}
         others = [] if old is None else [run for run in old.runs if (tuple(sorted(run.set.items())), run.seed) not in fresh]
-        write_golden(path, [*others, *runs])
+        recorded.write_golden(path, [*others, *runs])
 
 
-def _find_golden_run(golden_file: Golden, result: GoldenResult) -> GoldenRun | None:
+def _find_golden_run(golden_file: recorded.Golden, result: recorded.GoldenResult) -> recorded.GoldenRun | None:
     return next((run for run in golden_file.runs if run.set == dict(result.changes) and run.seed == result.seed), None)

@@ -174,11 +174,9 @@ class Comparer:
 
     def __init__(self, run: Run, result: GoldenResult, golden: GoldenRun, environment: Mapping[str, str]) -> None:
         self.program, self.result, self.golden = run.shot.program, result, golden
-        self.made = (
-            ", ".join(f"{name} {text}" for name, text in environment.items())
-            if dict(environment) != describe_environment()
-            else ""
-        )
+        self.made = ", ".join(f"{name} {text}" for name, text in environment.items())
+        if dict(environment) == describe_environment():
+            self.made = ""
         self.known: dict[str, Sums] = {}
         self.over = False
 

@@ -94,11 +94,9 @@ def make_diagnostic(unexpected: UnexpectedToken) -> Diagnostic:
         diagnostic = kind(unexpected)
         if diagnostic is not None:
             return diagnostic
-    message = (
-        f"found {_quote_text(unexpected.token_text)} after {_quote_text(unexpected.previous_text)}"
-        if unexpected.previous_text
-        else f"found {_quote_text(unexpected.token_text)}"
-    )
+    message = f"found {_quote_text(unexpected.token_text)}"
+    if unexpected.previous_text:
+        message += f" after {_quote_text(unexpected.previous_text)}"
     help, fix = _form_text(unexpected), None
     slip = _find_slip(unexpected)
     if slip is not None:

@@ -12,8 +12,6 @@ from antdsl.plan.lowering.values import Element, EntityRef, Hit, NamedThing, Own
 from antdsl.plan.lowering.writer import AXES, UnsupportedConstruct, Writer
 from antdsl.program import model
 
-_SOLID = (model.Kind.OBSTACLE, model.Kind.SURFACE, model.Kind.SOLID)
-
 
 def where(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
     """Whether the place is there, and where it is."""
@@ -40,11 +38,11 @@ def offset_to(w: Writer, value: Value, e: model.Expr) -> tuple[Node, Vec]:
         return b.true, Vec(b("pair.x"), b("pair.y"), b("pair.z"))
     if isinstance(value, Hit):
         return value.hit, values.scale(b, value.direction, value.distance)
-    if isinstance(value, NamedThing) and value.kind in _SOLID:
-        near = b("obstacle.near", b.number(inf), attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest == "obstacle.near":
+        near = b(value.row.nearest, b.number(inf), attrs=(value.name,))
         within, distance, x, y, z = (b("get", near, attrs=(i,)) for i in range(5))
         return within, values.scale(b, Vec(x, y, z), b("neg", distance))
-    if isinstance(value, NamedThing) and value.kind is model.Kind.CURVE:
+    if isinstance(value, NamedThing) and value.row.nearest == "curve.closest":
         is_present: Node = b.true
         point = _point(w, value.name)
     elif isinstance(value, Vec | OwnPlace | EntityRef):
@@ -62,10 +60,10 @@ def distance_to(w: Writer, value: Value, e: model.Expr) -> Node:
         return b("pair.distance")
     if isinstance(value, Hit):
         return b("where", value.hit, value.distance, b.number(inf))
-    if isinstance(value, NamedThing) and value.kind is model.Kind.CURVE:
-        return b("get", b("curve.closest", attrs=(value.name,)), attrs=(0,))
-    if isinstance(value, NamedThing) and value.kind in _SOLID:
-        near = b("obstacle.near", b.number(inf), attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest == "curve.closest":
+        return b("get", b(value.row.nearest, attrs=(value.name,)), attrs=(0,))
+    if isinstance(value, NamedThing) and value.row.nearest == "obstacle.near":
+        near = b(value.row.nearest, b.number(inf), attrs=(value.name,))
         return b("where", b("get", near, attrs=(0,)), b("get", near, attrs=(1,)), b.number(inf))
     is_present, offset = offset_to(w, value, e)
     return b("where", is_present, values.length(b, offset), b.number(inf))
@@ -73,11 +71,11 @@ def distance_to(w: Writer, value: Value, e: model.Expr) -> Node:
 
 def _nearest_of(w: Writer, value: Value) -> Value:
     """Of several items or agents, the nearest."""
-    if isinstance(value, NamedThing) and value.kind is model.Kind.ITEMS:
-        every = w.b("set.items", w.b.number(inf), attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest == "set.items":
+        every = w.b(value.row.nearest, w.b.number(inf), attrs=(value.name,))
         return EntityRef(model.Kind.ITEM, value.name, w.b("reduce.item", every, w.b.true, w.b("pair.distance")))
-    if isinstance(value, NamedThing) and value.kind is model.Kind.SPECIES:
-        every = w.b("set.every", attrs=(value.name,))
+    if isinstance(value, NamedThing) and value.row.nearest == "set.every":
+        every = w.b(value.row.nearest, attrs=(value.name,))
         return EntityRef(model.Kind.AGENT, value.name, w.b("reduce.agent", every, w.b.true, w.b("pair.distance")))
     return value
 
@@ -155,18 +153,18 @@ def _touching(w: Writer, e: model.Op) -> Value:
     b = w.b
     radius = w.read("radius")
     if isinstance(value, NamedThing):
-        if value.kind is model.Kind.SURFACE:
-            return b("surface.touching", attrs=(value.name,))
-        if value.kind in (model.Kind.OBSTACLE, model.Kind.SOLID):
-            return b("get", b("obstacle.near", radius, attrs=(value.name,)), attrs=(0,))
-        if value.kind is model.Kind.ITEMS:
-            every = b("set.items", b.number(inf), attrs=(value.name,))
+        row = value.row
+        if row.touching:
+            return b(row.touching, attrs=(value.name,))
+        if row.has_faces:
+            return b("get", b(row.nearest, radius, attrs=(value.name,)), attrs=(0,))
+        if row.nearest == "set.items":
+            every = b(row.nearest, b.number(inf), attrs=(value.name,))
             reach = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
             return b("reduce.any", every, b("le", b("pair.distance"), reach))
-        if value.kind is model.Kind.SPECIES:
-            raise UnsupportedConstruct(
-                "touching any agent of a species", e.span, f"any(n in neighbours(size, of: {value.name}): touching(n))"
-            )
+        if row.nearest == "set.every":
+            words = "touching any agent of a species"
+            raise UnsupportedConstruct(words, e.span, f"any(n in neighbours(size, of: {value.name}): touching(n))")
     if isinstance(value, Element):
         radius = b("add", b("other", attrs=("radius",), kind=Kind.F32), radius)
     if isinstance(value, EntityRef):

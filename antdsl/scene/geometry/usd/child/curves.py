@@ -74,9 +74,8 @@ def _read_polyline(curve: Any, time: Any, prim: Any) -> Floats:
         return np.concatenate([points, points[:1]]) if wrap == "periodic" else points
     basis = curve.GetBasisAttr().Get(time)
     if basis not in _BASES:
-        raise UsdError(
-            "bad-usd", f"the curve `{prim.GetPath()}` has the unsupported basis `{basis}`", "use bezier, bspline or catmullRom"
-        )
+        words = f"the curve `{prim.GetPath()}` has the unsupported basis `{basis}`"
+        raise UsdError("bad-usd", words, "use bezier, bspline or catmullRom")
     return _cut_cubic(points, basis, wrap, prim)
 
 

@@ -29,9 +29,8 @@ def point_arrays(stage: OpenStage, kind: str | None = None) -> UsdPoints:
     check_bytes(len(empties) * len(stage.times) * 24, f"the places below `{stage.prim.GetPath()}`")
     parts = [_read_cloud(stage, prim) for prim in clouds] or [_read_empty(stage, prim) for prim in empties]
     if not parts:
-        raise UsdError(
-            "no-such-prim", f"there are neither points nor empties below `{stage.prim.GetPath()}`", "name a Points prim"
-        )
+        message = f"there are neither points nor empties below `{stage.prim.GetPath()}`"
+        raise UsdError("no-such-prim", message, "name a Points prim")
     counts = [part.positions.shape[1] for part in parts]
     if sum(counts) > limits.AGENTS:
         raise UsdError("too-large", f"there are more than {limits.AGENTS:,} points below `{stage.prim.GetPath()}`")
@@ -142,9 +141,8 @@ def _read_empty(stage: OpenStage, prim: Any) -> UsdPoints:
         name = str(attribute.GetName()).removeprefix(f"{_USER}:")
         value = attribute.Get(stage.first) if ":" not in name and hasattr(attribute, "HasValue") else None
         if isinstance(value, float) and not np.isfinite(value):
-            raise UsdError(
-                "bad-usd", f"`{name}` of `{prim.GetPath()}` is {value:g}, which is not finite", "give it a finite one", "usd"
-            )
+            words = f"`{name}` of `{prim.GetPath()}` is {value:g}, which is not finite"
+            raise UsdError("bad-usd", words, "give it a finite one", "usd")
         if isinstance(value, bool | int | float):
             values[name] = np.full(1, float(value))
         elif isinstance(value, str) and len(value) <= limits.NAME_CHARACTERS:

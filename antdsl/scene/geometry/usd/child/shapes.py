@@ -125,9 +125,8 @@ def _instance_transforms(stage: OpenStage, instancer: Any, count: int) -> Floats
     for k, time in enumerate(times):
         code = usd.TimeCode(time)
         if k and list(instancer.GetProtoIndicesAttr().Get(code) or []) != first:
-            raise UsdError(
-                "moving-topology", f"the instances of `{path}` appear, disappear or change their shape over time", BAKE
-            )
+            words = "moving-topology"
+            raise UsdError(words, f"the instances of `{path}` appear, disappear or change their shape over time", BAKE)
         matrices = instancer.ComputeInstanceTransformsAtTime(
             code, code, pxr("UsdGeom").PointInstancer.IncludeProtoXform, pxr("UsdGeom").PointInstancer.IgnoreMask
         )

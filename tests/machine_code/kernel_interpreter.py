@@ -3,7 +3,7 @@
 It runs one iteration of a kernel after another, also where machine code runs several in lanes. Numbers are NumPy scalars with the
 meanings of `OPS`, vectors are tuples of them, and memory is that of the arrays. Undefined behaviour of machine code is an error
 here: an index outside its axis, division by 0, and reading a variable or an element of `scratch` before anything was stored to
-it. `steps` translates each instruction to the function that runs here."""
+it. `interpreter_steps` translates each instruction to the function that runs here."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
+from interpreter_steps import FunctionPreparer, Memory, Pointer, PreparedFunction, ProcessMemory, run_code
 from numpy.lib.array_utils import byte_bounds
 
 from antdsl.machine_code.kernels.calling import flat
 from antdsl.machine_code.kernels.ir import Function
 from antdsl.machine_code.kernels.kernel import Kernel
 from antdsl.machine_code.kernels.operations import DTYPES, wrap
-from antdsl.machine_code.kernels.steps import FunctionPreparer, Memory, Pointer, PreparedFunction, ProcessMemory, run_code
 from antdsl.machine_code.kernels.types import UNSIGNED, ArrayType, Scalar
 from antdsl.machine_code.kernels.values import Item, leaves
 

@@ -1,4 +1,4 @@
-"""Reports lines of `layers` that never have any strength left, or have a condition that never holds."""
+"""Layers without a line for what states steer, and lines without effect: no strength is left, or a condition never holds."""
 
 from __future__ import annotations
 
@@ -7,9 +7,22 @@ import math
 from antdsl.diagnostics import Label, Report
 from antdsl.program.checks.analysis.checked import CheckContext
 from antdsl.program.checks.analysis.conditions import ConditionReader, is_always, is_never
-from antdsl.program.model import Attribute, BindingRef, Const, Expr, InlinedBehaviour, Layer, Op, Species, Steer
+from antdsl.program.model import Attribute, BindingRef, Const, Expr, Face, InlinedBehaviour, Layer, Op, Species, Steer
 from antdsl.program.types.descriptions import quote_source
 from antdsl.program.types.folding import constant_behind
+
+
+def check_layering(checked: CheckContext, report: Report) -> None:
+    for species in checked.program.species.values():
+        lines = [line for m in species.machines for state in m.states for line in state.body]
+        steering = next((line for line in lines if isinstance(line, Steer | Face)), None)
+        states = [layer for layer in species.layers.layers if layer.push is None]
+        if steering is not None and not states:
+            verb = "steers" if isinstance(steering, Steer) else "faces a way"
+            message = f"`{species.name}` {verb} in its states, and `layers` has no line for that"
+            report.error("state-not-in-layers", message, species.layers.span, "write `state` in a line of `layers`")
+        for extra in states[1:]:
+            report.error("duplicate-name", "`state` appears twice in `layers`", extra.span, "leave one of them out")
 
 
 def check_idle_layers(checked: CheckContext, report: Report) -> None:
@@ -17,10 +30,8 @@ def check_idle_layers(checked: CheckContext, report: Report) -> None:
     for species in checked.program.species.values():
         for layer in species.layers.layers:
             if layer.condition is not None and not isinstance(layer.condition, Const) and is_never(reader, layer.condition):
-                report.warning(
-                    "idle-layer", f"{quote_source(layer.condition.span)} can never hold", layer.condition.span,
-                    "change one of its numbers, or delete the line",
-                )  # fmt: skip
+                message = f"{quote_source(layer.condition.span)} can never hold"
+                report.warning("idle-layer", message, layer.condition.span, "change one of its numbers, or delete the line")
         _check_priorities(reader, species, report)
 
 
@@ -42,7 +53,7 @@ def _check_priorities(reader: ConditionReader, species: Species, report: Report)
 
 
 def _min_layer_strength(species: Species, layer: Layer) -> float:
-    """Return the smallest possible length of a layer's push."""
+    """The least length of a layer's push that is known for certain."""
     if layer.push is not None:
         return strength(layer.push)
     if len(species.machines) != 1:

@@ -1,0 +1,172 @@
+"""Reads a tree of JSON into a model of `document_model`, and reports each mistake at its place with what to write instead."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from types import NoneType, UnionType
+from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
+
+from pydantic import Tag, ValidationError
+from pydantic.fields import FieldInfo
+
+from antdsl import limits
+from antdsl.bodies.files.document_model import DocumentedForm, Form, keys_of
+from antdsl.bodies.files.json_text import Node, find_node, find_span
+from antdsl.diagnostics import Diagnostic, Label, Report
+from antdsl.diagnostics.model import Severity
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.scene.document import Key
+from antdsl.scene.load import drop_consequences
+from antdsl.source import Span
+
+F = TypeVar("F", bound=Form)
+Path = tuple[Key, ...]
+_MOST_ERRORS = 200  # of one document; the others are reported once these are corrected
+_NULL = object()  # stands for a null, which no value of a document may be
+_TYPES: dict[str, tuple[str, str | None]] = {
+    "string_type": ("a text", 'write `"…"`'),
+    "float_type": ("a number", None),
+    "bool_type": ("true or false", "write `true` or `false`"),
+    "list_type": ("a list", "write `[ … ]`"),
+    "tuple_type": ("a list", "write `[ … ]`"),
+    "dict_type": ("an object", None),
+    "model_type": ("an object", None),
+}
+
+
+_CONTAINERS = ("list_type", "tuple_type", "dict_type", "model_type")
+
+
+def read_form(form: type[F], root: Node, report: Report) -> F | None:
+    """Return the model of a document, or None if one of its mistakes is an error."""
+    tree = _plain(root)
+    while True:
+        try:
+            return form.model_validate(tree)
+        except ValidationError as problem:
+            errors = drop_consequences(problem.errors(include_url=False, include_input=False)[:_MOST_ERRORS])
+        diagnostics = [_diagnose(form, root, error) for error in errors]
+        report.extend(diagnostics)
+        if any(diagnostic.severity == "error" for diagnostic in diagnostics):
+            return None
+        for error in errors:
+            _delete(tree, error["loc"])
+
+
+def _plain(node: Node) -> Any:
+    """Return the values of a tree."""
+    if isinstance(node.value, dict):
+        return {key: _plain(value) for key, value in node.value.items()}
+    if isinstance(node.value, list) and not node.numbers:
+        return [_plain(item) for item in node.value if isinstance(item, Node)]
+    return _NULL if node.value is None else node.value
+
+
+def _delete(tree: Any, path: Path) -> None:
+    """Delete an entry of a tree. Its path may have tags of unions."""
+    for key in path[:-1]:
+        if isinstance(key, int) or key in tree:
+            tree = tree[key]
+    del tree[path[-1]]
+
+
+def _diagnose(form: type[Form], root: Node, error: Any) -> Diagnostic:
+    """Return the finding about an error of pydantic."""
+    kind, path, context = error["type"], tuple(error["loc"]), error.get("ctx", {})
+    owner, field = _form_at(form, path)
+    last, example = path[-1] if path else "", _example(field)
+    help: str | None
+    if kind == "worded":
+        return _diagnose_worded(root, path, context)
+    if kind == "extra_forbidden":
+        return _diagnose_unknown_key(owner, find_span(root, path, key=True), str(last), error.get("meant"))
+    if kind == "missing" and isinstance(last, str):
+        words, help = f"{owner.noun} has no `{last}`", f'add `"{last}": {example}`'
+        return Diagnostic("missing-key", words, find_span(root, path), help=help)
+    if kind in ("greater_than_equal", "less_than_equal"):
+        most, bound = ("least", context["ge"]) if "ge" in context else ("most", context["le"])
+        help = f"write `{bound:g}`" if abs(bound) < limits.LARGEST else None
+        words = f"{_subject(path, owner)} must be at {most} {bound:g}"
+        return Diagnostic("out-of-range", words, find_span(root, path), help=help)
+    node = find_node(root, path)
+    if kind in _TYPES:
+        expectation, help = _TYPES[kind]
+        if node.value is None:
+            help = "delete it" if isinstance(last, int) else "leave the key out"
+        elif kind in _CONTAINERS and example:
+            help = f"write `{example}`"
+        actual = "a number" if path and find_node(root, path[:-1]).numbers else node.kind
+        words = f"{_subject(path, owner)} must be {expectation}, not {actual}"
+        return Diagnostic("wrong-value", words, find_span(root, path), help=help)
+    path = path[:-1] if kind == "missing" else path
+    node = find_node(root, path)
+    count = len(node.value) if isinstance(node.value, list) else 0
+    words = f"{_subject(path, owner)} has {count} value{'' if count == 1 else 's'}: too {'few' if kind == 'missing' else 'many'}"
+    return Diagnostic("wrong-value", words, node.span if node.numbers else node.mark)
+
+
+def _diagnose_worded(root: Node, path: Path, context: Any) -> Diagnostic:
+    """Return the finding about an error of `document_model`. `at`: the rest of its path; `key`: its place is that of the key;
+    `complete`: all of the value is marked; `first`: the path of another place."""
+    is_key = "key" in context or path[-1:] == ("[key]",)
+    labels = (Label(find_span(root, (*path, *context["first"])), "here first"),) if "first" in context else ()
+    path = (*(path[:-1] if path[-1:] == ("[key]",) else path), *context.get("at", ()))
+    span = find_node(root, path).span if "complete" in context else find_span(root, path, key=is_key)
+    code = context.get("code", "wrong-value")
+    return Diagnostic(code, context["words"], span, help=context["help"] or None, labels=labels)
+
+
+def _diagnose_unknown_key(owner: type[Form], span: Span, key: str, meant: str | None) -> Diagnostic:
+    near = meant or nearest_name(key, keys_of(owner))
+    known = ", ".join(f"`{each}`" for each in keys_of(owner))
+    help = f'write `"{near}"`' if near else f"known here: {known}"
+    severity: Severity = "error" if meant or not issubclass(owner, DocumentedForm) else "warning"
+    return Diagnostic("unknown-key", f"`{key[:60]}` is not a key of {owner.noun}", span, severity, help)
+
+
+def _subject(path: Path, owner: type[Form]) -> str:
+    """Return what an error is about, in words."""
+    names = [key for key in path if isinstance(key, str) and not key.startswith("clip-")]
+    if not names:
+        return owner.noun
+    return f"`{names[-1][:60]}`" if path[-1] == names[-1] else f"a value of `{names[-1][:60]}`"
+
+
+def _example(field: FieldInfo | None) -> str:
+    if field is None:
+        return ""
+    return str(field.examples[0]) if field.examples else '"…"' if field.annotation is str else ""
+
+
+def _form_at(form: type[Form], path: Sequence[Key]) -> tuple[type[Form], FieldInfo | None]:
+    """Return the innermost form that contains what a path leads to, and the field of it that the path ends at."""
+    kind: Any = form
+    field: FieldInfo | None = None
+    for key in path:
+        kind = _without_marks(kind)
+        field = None
+        if isinstance(kind, type) and issubclass(kind, Form):
+            form = kind
+            field = next((each for name, each in kind.model_fields.items() if key == (each.alias or name)), None)
+            kind = None if field is None else field.annotation
+        else:
+            kind = _inner_type(kind, key)
+    return form, field
+
+
+def _without_marks(kind: Any) -> Any:
+    """Return a type without annotations and without None."""
+    while True:
+        arms = [arm for arm in get_args(kind) if arm is not NoneType]
+        if get_origin(kind) is Annotated or (get_origin(kind) in (Union, UnionType) and len(arms) == 1):
+            kind = arms[0]
+        else:
+            return kind
+
+
+def _inner_type(kind: Any, key: Key) -> Any:
+    """Return the type of an entry, of an item, or of the choice that a tag names."""
+    arms = get_args(kind)
+    if get_origin(kind) in (Union, UnionType):
+        return next((arm for arm in arms if Tag(str(key)) in getattr(arm, "__metadata__", ())), None)
+    return arms[1] if get_origin(kind) is dict else arms[0] if arms else None

@@ -1,0 +1,269 @@
+"""The JSON documents of a body, as pydantic models: the definition, its rig, layers, transform groups and clips, and the settings
+of a clip in the extras of a glTF animation.
+
+`document_values` has the types of their values. `document_errors` turns what does not match into findings. What needs other parts
+of the definition, such as the name of a joint, is checked when the definition is built."""
+
+from typing import Annotated, Any, ClassVar, Self
+
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Discriminator, FailFast, Field, Tag, model_validator
+
+from antdsl.bodies.agents.transforms import ORDERS
+from antdsl.bodies.files.document_values import (
+    CHANNELS_EXAMPLE,
+    Amount,
+    AnyText,
+    Axis,
+    Channels,
+    Colour,
+    Colours,
+    Duty,
+    Entries,
+    Flag,
+    Joints,
+    Length,
+    Matrix,
+    NoDeformer,
+    Number,
+    PathPair,
+    ReadRate,
+    SampleRate,
+    Scale,
+    Share,
+    Stride,
+    Text,
+    Texts,
+    Unique,
+    Unit,
+    at_most,
+    edition,
+    one_of,
+)
+from antdsl.scene.values import make_error
+
+
+class Form(BaseModel):
+    """An object of a document, in a form of antdsl. `noun`: what it is, in messages."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, hide_input_in_errors=True)
+    noun: ClassVar[str]
+
+
+class DocumentedForm(Form):
+    """An object in a form that others published. A later version may have further keys, so an unknown one is only a warning."""
+
+
+# ---- rig, layers, transform groups
+
+
+class ChannelForm(DocumentedForm):
+    noun = "a channel"
+    default_value: Number = 0.0
+    transform: AnyText = ""
+
+
+class RigForm(DocumentedForm):
+    """`transforms`: the children of each joint, in any order. `antdsl_rest`: the local matrix of a joint by rows."""
+
+    noun = "a rig"
+    rig_version: Annotated[int, edition(1)] = Field(examples=["1"])
+    transforms: Annotated[Joints, at_most("JOINTS", "joints", "a rig")] = Field(examples=["{}"])
+    channels: Annotated[dict[Text, ChannelForm], at_most("CHANNELS", "channels", "a rig")] = Field(
+        {}, examples=['{"NAME": {"default_value": 0, "transform": ""}}']
+    )
+    antdsl_rest: dict[str, Matrix] = {}
+
+
+class BindingForm(DocumentedForm):
+    noun = "a binding"
+    transform: AnyText = ""
+    shape: Text
+    bounds_scale: tuple[Amount, Amount, Amount] = (1.0, 1.0, 1.0)
+    deformer: AnyText = ""
+
+
+class StaticForm(BindingForm):
+    transform: Text
+    deformer: NoDeformer = ""
+
+
+class DeformingForm(BindingForm):
+    deformer: Text = Field(examples=['"linearskinning"'])
+
+
+class LayerForm(DocumentedForm):
+    noun = "a layer"
+    version: Annotated[int, edition(2)] = Field(examples=["2"])
+    name: Text
+    static: Annotated[tuple[StaticForm, ...], Entries] = ()
+    deforming: Annotated[tuple[DeformingForm, ...], Entries] = ()
+
+
+class MemberForm(DocumentedForm):
+    noun = "a member"
+    name: Text
+    weight: Share = 1.0
+
+
+class ChannelName(DocumentedForm):
+    noun = "a channel"
+    name: Text
+
+
+class GroupForm(DocumentedForm):
+    noun = "a transform group"
+    version: Annotated[int, edition(2)] = Field(examples=["2"])
+    name: Text
+    members: Annotated[tuple[MemberForm, ...], Unique, Entries] = ()
+    channels: Annotated[tuple[ChannelName, ...], Unique, Entries] = ()
+
+
+# ---- clips
+
+
+class ClipSettings(Form):
+    noun = "a clip"
+    loop: Flag = True
+    stride: Amount = 0.0
+    marks: dict[str, Amount] = Field({}, examples=['{"NAME": 0.5}'])
+    feet: Flag = True
+
+
+class ClipForm(ClipSettings):
+    """A clip with its samples. Channels are `joint:tx` … `joint:shear3`, or numbers of the rig."""
+
+    antdsl_clip: Annotated[int, edition(1)] = Field(examples=["1"])
+    name: Text
+    rate: SampleRate = Field(examples=["24"])
+    rotation_order: Annotated[str, one_of(*ORDERS)] | None = None
+    angles: Annotated[str, one_of("degrees", "radians")] | None = None
+    channels: Channels = Field(examples=[CHANNELS_EXAMPLE])
+
+    @model_validator(mode="after")
+    def _check_rotations(self) -> Self:
+        rotation = next((name for name in self.channels if ":r" in name), None)
+        if rotation is not None and (self.rotation_order is None or self.angles is None):
+            missing = '"rotation_order": "xyz"' if self.rotation_order is None else '"angles": "degrees"'
+            words, path = "a clip with rotations must state their order and unit", ("channels", rotation)
+            raise make_error(words, f"add `{missing}`", code="missing-key", at=path, key=True)
+        return self
+
+
+class ClipReference(ClipSettings):
+    """Clips of another file, or a clip of `from`. The settings that are given replace those of the file."""
+
+    file: Text | None = None
+    clip: Text | None = None
+    name: Text | None = None
+    rate: ReadRate | None = None
+    prim: Text | None = None
+
+
+class AnimationSettings(ClipSettings):
+    """What glTF has no place for: the settings of a clip in the extras of its animation. Unknown keys are ignored."""
+
+    model_config = ConfigDict(extra="ignore")
+    rate: SampleRate | None = None
+
+
+def _clip_tag(value: Any) -> str:
+    return "clip-here" if isinstance(value, dict) and "antdsl_clip" in value else "clip-elsewhere"
+
+
+Clip = Annotated[
+    Annotated[ClipForm, Tag("clip-here")] | Annotated[ClipReference, Tag("clip-elsewhere")], Discriminator(_clip_tag)
+]
+
+
+# ---- shapes, legs, gaits, variation
+
+
+class ShapeReference(Form):
+    """Shapes of a file, or (without `file`) a shape that is known, with other settings and with the documented attributes of
+    blend shapes."""
+
+    noun = "a shape"
+    file: Text | None = None
+    shape: Text | None = None
+    name: Text | None = None
+    units: Unit | None = None
+    material: Text | None = None
+    prim: Text | None = None
+    blendshape_shapenames: Texts = ()
+    blendshape_channels: Texts = ()
+    blendshape_inbetweenweights: Annotated[tuple[Number, ...], FailFast()] = ()
+    blendshape_attribs: Text = "P N"
+    blendshape_ptidattr: Text = "id"
+    blendshape_primidattr: Text = "id"
+    deformDualQuaternionBlendAttrib: AnyText = ""
+
+
+class LegForm(Form):
+    noun = "a leg"
+    name: Text = Field(examples=['"left"'])
+    upper: Text
+    lower: Text
+    foot: Text
+
+
+class GaitForm(Form):
+    noun = "a gait"
+    name: Text = Field(examples=['"walk"'])
+    speed: Amount = Field(examples=["10"])
+    stride: Stride = Field(examples=["5"])
+    duty: Duty = Field(examples=["0.6"])
+    lift: Amount = Field(examples=["0.5"])
+    phases: Annotated[tuple[Share, ...], FailFast()] = Field(examples=["[0, 0.5]"])
+
+
+class VariationForm(Form):
+    noun = "variation"
+    scale: dict[str, tuple[Scale, Scale]] = Field(default={}, examples=['{"head": [0.9, 1.2]}'])
+    materials: dict[str, Colours] = Field(default={}, examples=['{"fur": [[0.4, 0.3, 0.2], [0.1, 0.1, 0.1]]}'])
+
+
+# ---- the definition
+
+
+class BaseForm(Form):
+    """The glTF or USD file that provides all parts of a body."""
+
+    noun = "a file to begin from"
+    file: Text = Field(examples=['"body.glb"'])
+    prim: Text | None = None
+    rate: ReadRate | None = None
+
+
+BaseFile = Annotated[BaseForm, BeforeValidator(lambda value: {"file": value} if isinstance(value, str) else value)]
+
+
+class BodyForm(Form):
+    """A definition. `rig`, `layers`, `groups` and `metadata` are here as their own files have them."""
+
+    noun = "a definition"
+    antdsl_body: Annotated[int, edition(1)] = Field(examples=["1"])
+    name: Text | None = None
+    base: BaseFile | None = Field(None, alias="from", examples=['"body.glb"'])
+    front: Axis | None = None
+    up: Axis | None = None
+    units: Unit | None = None
+    length: Length | None = None
+    rig: RigForm | None = Field(None, examples=['{"file": "rig.json"}'])
+    shapes: Annotated[tuple[ShapeReference, ...], Entries, at_most("BODY_PARTS", "shapes")] = Field(
+        (), examples=['[{"file": "sword.obj", "name": "sword"}]']
+    )
+    shapelib_includes: Annotated[tuple[PathPair, ...], Entries] = Field((), examples=['[["$HIP/lib.glb", "/…/lib.glb"]]'])
+    layers: Annotated[tuple[LayerForm, ...], Entries, at_most("BODY_PARTS", "layers")] = ()
+    clips: Annotated[tuple[Clip, ...], Entries, at_most("BODY_PARTS", "clips")] = ()
+    groups: Annotated[tuple[GroupForm, ...], Entries, at_most("BODY_PARTS", "transform groups")] = ()
+    metadata: dict[str, Any] = {}
+    materials: dict[str, Colour] = Field({}, examples=['{"NAME": [0.5, 0.4, 0.3]}'])
+    legs: Annotated[tuple[LegForm, ...], Unique, Entries, at_most("LEGS", "legs")] = ()
+    gaits: Annotated[tuple[GaitForm, ...], Unique, Entries, at_most("GAITS", "gaits")] = ()
+    idle: Text | None = None
+    variation: VariationForm = VariationForm()
+
+
+def keys_of(form: type[Form]) -> list[str]:
+    """The keys of a form, in its order."""
+    return [field.alias or name for name, field in form.model_fields.items()]

@@ -1,0 +1,201 @@
+"""The kinds of values in JSON documents of a body, as pydantic types: texts, numbers in a range, units, axes, colours, lists.
+
+Texts, numbers and booleans are strict. Each type returns a value, or refuses with words and what to write instead."""
+
+import re
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import AfterValidator, BeforeValidator, FailFast, Field, PlainValidator, Strict, TypeAdapter, ValidationInfo
+
+from antdsl import limits
+from antdsl.scene.model import UNIT_MM
+from antdsl.scene.values import make_error
+
+AXES = {f"{sign}{letter}": tuple(float(f"{sign}{each == letter:d}") for each in "xyz") for letter in "xyz" for sign in "+-"}
+_UNIT = re.compile(rf"(?:(\d{{1,6}}(?:\.\d{{1,9}})?) )?({'|'.join(UNIT_MM)})")
+_NAME_CHARACTERS = 1000
+_LEAST_SCALE, _MOST_SCALE = 0.1, 10.0  # times as large as in the rest pose
+
+
+def _check_text(value: str) -> str:
+    if len(value) > _NAME_CHARACTERS or "\0" in value:
+        raise make_error("this text is too long, or contains an invisible character")
+    return value
+
+
+def _check_filled(value: str) -> str:
+    if not value:
+        raise make_error("expected a text here, but it is empty")
+    return _check_text(value)
+
+
+def one_of(*words: str) -> BeforeValidator:
+    """One word of a closed list."""
+
+    def check(value: Any) -> Any:
+        if value not in words:
+            raise make_error(f"this must be one of `{'`, `'.join(words)}`", f'write `"{words[0]}"`')
+        return value
+
+    return BeforeValidator(check)
+
+
+def edition(number: int) -> BeforeValidator:
+    """The version of a form, of which one is read."""
+
+    def check(value: Any) -> int:
+        if value != number or isinstance(value, bool):
+            raise make_error("this version is not supported", f"write `{number}`, if the file is in that form")
+        return number
+
+    return BeforeValidator(check)
+
+
+def at_most(limit: str, what: str, owner: str = "a body") -> BeforeValidator:
+    """No more entries than a limit of `antdsl.limits`."""
+
+    def check(entries: Any) -> Any:
+        most = getattr(limits, limit)
+        if isinstance(entries, list | dict) and len(entries) > most:
+            raise make_error(f"{owner} has at most {most:,} {what}", code="too-large")
+        return entries
+
+    return BeforeValidator(check)
+
+
+def _refuse_numbers(entries: Any) -> Any:
+    """Refuse an array of numbers at once: a document may have millions of them in a row."""
+    if isinstance(entries, list) and entries and all(type(entry) in (int, float) for entry in entries):
+        raise make_error("this must be a list of texts or objects, not of numbers")
+    return entries
+
+
+def _check_names(entries: tuple[Any, ...]) -> tuple[Any, ...]:
+    first: dict[str, int] = {}
+    for number, entry in enumerate(entries):
+        if entry.name in first:
+            words, place = f"`{entry.name}` is given twice", (number, "name")
+            raise make_error(words, "keep one of them", code="duplicate-name", at=place, first=(first[entry.name], "name"))
+        first[entry.name] = number
+    return entries
+
+
+def unit_mm(text: object) -> float:
+    """Return the millimetres of a length unit such as `mm` or `6 mm`; 0 if the text is not one."""
+    match = _UNIT.fullmatch(text) if isinstance(text, str) else None
+    return float(match[1] or 1) * UNIT_MM[match[2]] if match else 0.0
+
+
+def _read_unit(value: Any) -> float:
+    unit = unit_mm(value)
+    if not unit:
+        known = ", ".join(f"`{word}`" for word in UNIT_MM)
+        raise make_error(f"the unit of length must be one of {known}, or a multiple of one", 'write `"mm"`, or `"6 mm"`')
+    return unit
+
+
+def _read_axis(value: Any, info: ValidationInfo) -> Any:
+    if not isinstance(value, str) or value not in AXES:
+        letter = value if isinstance(value, str) and f"+{value}" in AXES else "z" if info.field_name == "front" else "y"
+        raise make_error(f"`{info.field_name}` must be one of the axes `+x` `-x` `+y` `-y` `+z` `-z`", f'write `"+{letter}"`')
+    return AXES[value]
+
+
+def axis_word(axis: tuple[float, float, float]) -> str:
+    """Return the word for an axis, such as `+x`."""
+    return next(word for word, each in AXES.items() if each == axis)
+
+
+Flag = Annotated[bool, Strict()]
+Text = Annotated[str, Strict(), AfterValidator(_check_filled)]
+AnyText = Annotated[str, Strict(), AfterValidator(_check_text)]  # may be empty
+Number = Annotated[float, Strict(), Field(ge=-limits.LARGEST, le=limits.LARGEST)]
+Amount = Annotated[float, Strict(), Field(ge=0.0, le=limits.LARGEST)]
+Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
+SampleRate = Annotated[float, Strict(), Field(ge=0.001, le=100_000.0)]
+ReadRate = Annotated[float, Strict(), Field(ge=1.0, le=1000.0)]
+Length = Annotated[float, Strict(), Field(ge=1e-9, le=limits.LARGEST)]
+Stride = Annotated[float, Strict(), Field(ge=limits.LEAST_STRIDE, le=limits.LARGEST)]
+Duty = Annotated[float, Strict(), Field(ge=limits.DUTY[0], le=limits.DUTY[1])]
+Scale = Annotated[float, Strict(), Field(ge=_LEAST_SCALE, le=_MOST_SCALE)]
+Colour = tuple[Share, Share, Share]
+Entries = BeforeValidator(_refuse_numbers)
+Texts = Annotated[tuple[Text, ...], Entries]
+Unit = Annotated[float, BeforeValidator(_read_unit)]
+Axis = Annotated[tuple[float, float, float], BeforeValidator(_read_axis)]
+Row = tuple[Number, Number, Number, Number]
+Unique = AfterValidator(_check_names)
+
+
+def _check_matrix(rows: tuple[Row, Row, Row, Row]) -> tuple[Row, Row, Row, Row]:
+    if rows[3] != (0, 0, 0, 1):
+        is_transposed = all(row[3] == 0 for row in rows[:3])
+        help = "write the translation into the last column" if is_transposed else "write `[0, 0, 0, 1]`"
+        raise make_error("the last row of a rest pose must be `[0, 0, 0, 1]`", help)
+    return rows
+
+
+def _check_joints(joints: dict[str, Texts]) -> dict[str, Texts]:
+    if not joints:
+        raise make_error("a rig has at least one joint", 'write `{"root": []}`', code="bad-rig")
+    return joints
+
+
+Matrix = Annotated[tuple[Row, Row, Row, Row], AfterValidator(_check_matrix), Entries]
+Joints = Annotated[dict[Text, Texts], AfterValidator(_check_joints)]
+
+
+def _refuse_deformer(value: str) -> str:
+    if value:
+        words = f"a static shape cannot have a deformer, but this one has `{value[:60]}`"
+        raise make_error(words, 'move it to `deforming`, or write `""`')
+    return value
+
+
+def _check_colours(colours: tuple[Colour, ...]) -> tuple[Colour, ...]:
+    if not 2 <= len(colours) <= limits.BODY_PARTS:
+        words = f"a material varies between two colours at least, not {len(colours)}"
+        raise make_error(words, "write two colours, or more", code="wrong-count")
+    return colours
+
+
+def _check_pair(paths: Any) -> Any:
+    if isinstance(paths, list) and len(paths) != 2:
+        words, help = f"a library needs two paths, but this list has {len(paths)}", 'write `["$HIP/lib.glb", "/…/lib.glb"]`'
+        raise make_error(words, help, complete=True)
+    return paths
+
+
+CHANNELS_EXAMPLE = '{"JOINT:tx": [0, 1]}'
+_NUMBERS = TypeAdapter(Annotated[list[Number], FailFast()])
+
+
+def _read_samples(value: Any) -> NDArray[np.float64]:
+    """Return the samples of a channel; a single number is a constant channel."""
+    return np.array(_NUMBERS.validate_python(value if isinstance(value, list | dict) else [value]), np.float64)
+
+
+Samples = Annotated[Any, PlainValidator(_read_samples)]
+
+
+def _check_channels(channels: dict[str, NDArray[np.float64]]) -> dict[str, NDArray[np.float64]]:
+    if not channels:
+        raise make_error("a clip has at least one channel", f"write `{CHANNELS_EXAMPLE}`")
+    longest, first = 1, ""
+    for name, samples in channels.items():
+        if not len(samples):
+            raise make_error(f"`{name[:60]}` has no samples", "leave the channel out", at=(name,), complete=True)
+        if len(samples) > 1 and longest > 1 and len(samples) != longest:
+            words = f"`{name[:60]}` has {len(samples):,} samples, but `{first[:60]}` has {longest:,}"
+            raise make_error(words, "give all the same number, or a single one", at=(name,), key=True)
+        if len(samples) > longest:
+            longest, first = len(samples), name
+    return channels
+
+
+NoDeformer = Annotated[AnyText, AfterValidator(_refuse_deformer)]
+Colours = Annotated[tuple[Colour, ...], AfterValidator(_check_colours), Entries]
+Channels = Annotated[dict[str, Samples], AfterValidator(_check_channels)]
+PathPair = Annotated[tuple[AnyText, AnyText], BeforeValidator(_check_pair)]

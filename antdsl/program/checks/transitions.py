@@ -1,0 +1,140 @@
+"""States that no change leads to or out of, and changes that cannot happen: never reached, or with a condition that never holds
+or always holds, as far as its comparisons with constants show."""
+
+from __future__ import annotations
+
+from antdsl.diagnostics import Label, Report
+from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.checks.analysis.conditions import ConditionReader, implies, is_always, is_never
+from antdsl.program.model import Ask, ClipTest, Const, Expr, Machine, Op, Play, Species, State, Transition
+from antdsl.program.tables.effects import EFFECTS
+from antdsl.program.types.descriptions import quote_source
+from antdsl.program.types.folding import constant_behind
+from antdsl.source import Span
+
+
+def check_reachability(checked: CheckContext, report: Report) -> None:
+    for species in checked.program.species.values():
+        for machine in species.machines:
+            reached = _reachable_states(machine)
+            for state in machine.states:
+                if state.index not in reached:
+                    _report_unreachable(machine, state, report)
+                elif len(machine.states) > 1 and _is_stuck(state):
+                    advice = f"write `when … -> {machine.states[machine.start].name}` in it, or `die` if the animal leaves"
+                    report.warning("trap", f"nothing leads out of state `{state.name}`", state.span, advice)
+
+
+def _reachable_states(machine: Machine) -> set[int]:
+    """Return the states that are reachable from the start state. `previous` leads only to states that were active before."""
+    reached: set[int] = set()
+    stack = [machine.start]
+    while stack:
+        index = stack.pop()
+        if index in reached or index >= len(machine.states):
+            continue
+        reached.add(index)
+        for change in machine.states[index].transitions:
+            stack += [change.target] if change.target is not None else [choice for choice, _ in change.choices]
+    return reached
+
+
+def _report_unreachable(machine: Machine, state: State, report: Report) -> None:
+    start = machine.states[machine.start].name
+    advice = f"write `when … -> {state.name}` in state `{start}` or another, or delete it"
+    report.warning("unreachable-state", f"no change leads to state `{state.name}`", state.span, advice)
+
+
+def _is_stuck(state: State) -> bool:
+    leaves = any(isinstance(line, Ask) and EFFECTS[line.op].last for line in (*state.body, *state.enter))
+    return not state.transitions and not leaves
+
+
+def check_shadowed(checked: CheckContext, report: Report) -> None:
+    reader = ConditionReader(checked.program.params)
+    for species in checked.program.species.values():
+        for machine in species.machines:
+            above: dict[Span, list[Transition | None]] = {}  # `from any` stands in many states, and may count in some
+            changes: dict[Span, Transition] = {}
+            for state in machine.states:
+                for place, change in enumerate(state.transitions):
+                    first = next((each for each in state.transitions[:place] if _is_hiding(reader, each, change)), None)
+                    above.setdefault(change.span, []).append(first)
+                    changes[change.span] = change
+            for span, earlier_changes in above.items():
+                if earlier_changes[0] is not None and None not in earlier_changes:
+                    _report_shadowed(reader, changes[span], earlier_changes[0], report)
+
+
+def _report_shadowed(reader: ConditionReader, change: Transition, first: Transition, report: Report) -> None:
+    certain = first.delay is None and first.held is None and is_always(reader, first.condition)
+    label = "this one always happens" if certain else "this one happens whenever the other could"
+    advice = f"move it above the one that {'always happens' if certain else 'comes first'}"
+    report.warning("shadowed-change", "this change is never looked at", change.span, advice, labels=(Label(first.span, label),))
+
+
+def _is_hiding(reader: ConditionReader, first: Transition, change: Transition) -> bool:
+    """Whether the upper one happens whenever the lower one could. One that takes something may find nothing to take."""
+    if first.take is not None or not _is_earlier(first.delay, change.delay) or not _is_earlier(first.held, change.held):
+        return False
+    if change.condition is not None and is_never(reader, change.condition):
+        return False  # that one is reported already, whatever is above it
+    return implies(reader, change.condition, first.condition)
+
+
+def _is_earlier(first: Expr | None, other: Expr | None) -> bool:
+    """Return whether the first waiting time has passed whenever the other has."""
+    if first is None:
+        return True
+    a, b = constant_behind(first), (constant_behind(other) if other is not None else None)
+    return a is not None and b is not None and (a.u, a.step) == (b.u, b.step) and a.number <= b.number
+
+
+def check_firing(checked: CheckContext, report: Report) -> None:
+    reader = ConditionReader(checked.program.params)
+    for species in checked.program.species.values():
+        for machine in species.machines:
+            for state in machine.states:
+                for change in state.transitions:
+                    _check_change(reader, change, report)
+                _check_clip_waits(species, machine, state, report)
+
+
+def _check_change(reader: ConditionReader, change: Transition, report: Report) -> None:
+    test = change.condition
+    if test is None or _is_truth_word(test):
+        return
+    if is_never(reader, test):
+        message = f"{quote_source(test.span)} can never hold"
+        report.warning("never-fires", message, test.span, "change one of its numbers, or delete the change")
+    elif is_always(reader, test):
+        message = f"{quote_source(test.span)} always holds"
+        report.warning("always-fires", message, test.span, "change one of its numbers, or write `when true` if that is meant")
+
+
+def _check_clip_waits(species: Species, machine: Machine, state: State, report: Report) -> None:
+    """Report transitions that wait for the clip of a state without a clip. A transition `from any` may be meant for other
+    states."""
+    if any(isinstance(line, Play) for line in state.body):
+        return
+    for change in state.transitions:
+        test = change.condition
+        if test is None or not change.key.startswith(f"{species.name}.{machine.name}.{state.name}->"):
+            continue
+        for part in _conjuncts(test):
+            if isinstance(part, ClipTest) and part.machine == machine.name:
+                message = f"{quote_source(part.span)} never holds in `{state.name}`, which plays no clip"
+                advice = f"write `play {'walk' if not part.mark else 'dig'}` or another clip as a line of `{state.name}`"
+                report.warning("never-fires", message, part.span, advice)
+
+
+def _conjuncts(test: Expr) -> list[Expr]:
+    """What all has to hold for a condition to."""
+    if isinstance(test, Op) and test.name == "and":
+        return [part for arg in test.args if arg is not None for part in _conjuncts(arg)]
+    return [test]
+
+
+def _is_truth_word(test: Expr) -> bool:
+    """`true` and `false` as words are meant so."""
+    return isinstance(test, Const)

@@ -1,0 +1,140 @@
+"""What is declared and never used, or only set or only read: params, attributes, lets, fields, behaviours, events; and a program
+that declares nothing that could act."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from functools import partial
+
+from antdsl.diagnostics import Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.checks.analysis.checked import CheckContext
+from antdsl.program.memo import cached_part
+from antdsl.program.model import Ask, AttributeDecl, Const, NoneRef, Op, Program, Species, ThingRef
+from antdsl.program.tables.effects import feeding_effects
+from antdsl.program.traverse import parts
+from antdsl.program.types.descriptions import quote_source
+from antdsl.source import Span
+from antdsl.syntax import nodes
+
+_DECLARING = re.compile(r"\b(species|behaviour)\b")
+
+
+def check_empty(checked: CheckContext, report: Report) -> None:
+    for file in checked.files:
+        source, items = file.node.source, file.node.items
+        if not items or any(isinstance(item, (nodes.Species, nodes.Behaviour)) for item in items):
+            continue
+        # if the word is there, a declaration could not be read, which was reported already
+        if not any(_DECLARING.search(line.partition("#")[0]) for line in source.text.splitlines()):
+            report.error("empty-program", "no species and no behaviour is declared", items[0].span, "write `species ant { … }`")
+
+
+def check_unused(checked: CheckContext, report: Report) -> None:
+    for species in checked.program.species.values():
+        _check_species(checked, species, report)
+    for field in checked.program.fields.values():
+        if not checked.is_used("field", field.name):
+            message = f"field `{field.name}` is never laid and never smelled"
+            report.warning("unused-field", message, field.span, f"write `deposit {field.name} 1 /s` in a state, or delete it")
+    _check_behaviours(checked, report)
+
+
+def _check_species(checked: CheckContext, species: Species, report: Report) -> None:
+    for param in species.params:
+        if not checked.is_used("param", param.name):
+            short = param.name.partition(".")[2]
+            message = f"param `{short}` is never used"
+            report.warning("unused-param", message, param.span, f"write `{short}` where its value belongs, or delete it")
+    for attribute in species.attributes:
+        name = f"{species.name}.{attribute.name}"
+        if not attribute.is_builtin and not checked.is_used("attribute", name) and name not in checked.declared.written:
+            words = f"attribute `{attribute.name}` is never used"
+            report.warning("unused-attribute", words, attribute.span, "use it, or delete it")
+    for binding in (*species.lets, *species.latches):
+        if not checked.is_used("let", f"{species.name}.{binding.name}"):
+            word = "fuzzy" if isinstance(binding.value, Op) and binding.value.name == "fuzzy" else binding.role
+            words = f"`{word} {binding.name}` is never used"
+            report.warning(f"unused-{binding.role}", words, binding.span, "use it, or delete it")
+
+
+def _check_behaviours(checked: CheckContext, report: Report) -> None:
+    """Report behaviours that nothing calls, in files with a species; a file of behaviours alone is there for others."""
+    for file in checked.files:
+        if not any(isinstance(item, nodes.Species) for item in file.node.items):
+            continue
+        for info in file.own.values():
+            name = info.node.name
+            if not checked.is_used("behaviour", f"{name.span}"):
+                message = f"behaviour `{name.text}` is never called"
+                report.warning("unused-behaviour", message, name.span, f"call it: `steer {name.text}(…)`, or delete it")
+
+
+def check_unused_memory(checked: CheckContext, report: Report) -> None:
+    for species in checked.program.species.values():
+        for attribute in species.attributes:
+            if not attribute.is_builtin:
+                _check_attribute(checked, species, attribute, report)
+    wholes = _field_users(checked.program) if checked.program.fields else ()
+    named = [cached_part(checked.declared, ("named", each), partial(_used_names, each)) for each in wholes]
+    read, laid = (frozenset().union(*names) for names in zip(*named, strict=True)) if named else (frozenset(), frozenset())
+    for field in checked.program.fields.values():
+        if field.name in laid and field.name not in read and not checked.is_used("smelled", field.name):
+            advice = f"let agents follow it: `steer climb({field.name})`, or delete it"
+            report.warning("unread-field", f"field `{field.name}` is laid and never smelled", field.span, advice)
+
+
+def _field_users(program: Program) -> Iterator[object]:
+    """Yield everything that can name a field: states one by one, as they are what changes during edits."""
+    for species in program.species.values():
+        yield from (state for machine in species.machines for state in machine.states)
+        yield (*species.attributes, *species.lets, *species.latches, *species.handlers, species.layers)
+    yield from program.specs
+
+
+def _used_names(root: object) -> tuple[frozenset[str], frozenset[str]]:
+    """The things that are named as values below `root`, and the fields that something is laid into."""
+    every, laying = list(parts(root)), feeding_effects("field")
+    return (
+        frozenset(each.name for each in every if isinstance(each, ThingRef)),
+        frozenset(each.of for each in every if isinstance(each, Ask) and each.op in laying),
+    )
+
+
+def _check_attribute(checked: CheckContext, species: Species, attribute: AttributeDecl, report: Report) -> None:
+    name = f"{species.name}.{attribute.name}"
+    read, written = checked.is_used("attribute", name), name in checked.declared.written
+    if written and not read:
+        hint = f"ask for it: `when {attribute.name} … -> …`, name it in `output: {{attributes: […]}}` of the scene, or delete it"
+        report.warning("unread-attribute", f"attribute `{attribute.name}` is set and never read", attribute.span, hint)
+    elif read and not written and attribute.relax_to is None and isinstance(attribute.default, (Const, NoneRef)):
+        value = quote_source(attribute.default.span)
+        advice = f"set it where it changes: `{attribute.name} = …`, or make it a `param` if all agents share it"
+        report.warning("constant-attribute", f"attribute `{attribute.name}` is always {value}", attribute.span, advice)
+
+
+def check_events(checked: CheckContext, report: Report) -> None:
+    declared = checked.declared
+    if any(species.node is None for species in declared.species.values()):
+        return  # a species of another file may raise or notice what this one does not
+    for event, span in declared.events.items():
+        _report_unheard(checked, event, span, report)
+        raised = any(checked.is_used(op, event) for op in feeding_effects("event"))
+        noticed = checked.is_used("on", event) or checked.is_used("event", event)
+        others = [name for name in declared.events if name != event]
+        near = nearest_name(event, others)
+        if raised and not noticed:
+            advice = f"did you mean `{near}`?" if near else f"write `on {event} {{ … }}`, or ask for it: `when {event} -> …`"
+            report.warning("unheard-event", f"no agent notices the event `{event}`", span, advice)
+        elif noticed and not raised:
+            advice = f"did you mean `{near}`?" if near else f"write `emit {event}(within: 20 mm)` where it happens"
+            report.warning("silent-event", f"no agent raises the event `{event}`", span, advice)
+
+
+def _report_unheard(checked: CheckContext, event: str, span: Span, report: Report) -> None:
+    """Report species of which agents receive an event that they do not notice."""
+    for name in checked.declared.species:
+        if checked.is_used("told", f"{event} {name}") and not checked.is_used("heard", f"{event} {name}"):
+            advice = f"write `on {event} {{ … }}` in `species {name}`, or test for it there: `when {event} -> …`"
+            report.warning("unheard-event", f"a `{name}` receives the event `{event}`, but does not handle it", span, advice)

@@ -1,0 +1,89 @@
+"""Checks of single entries of a scene: a name is declared, a file exists, a value has its dimension."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from antdsl import limits
+from antdsl.diagnostics import Report
+from antdsl.diagnostics.suggestion import nearest_name
+from antdsl.program.model import Dim, Kind, Program, WorldThing
+from antdsl.program.tables.units import default_unit, dimension_words, with_unit
+from antdsl.scene.document import Key
+from antdsl.scene.paths import PathRefused
+from antdsl.scene.quantities import Quantity
+from antdsl.source import Span
+
+if TYPE_CHECKING:
+    from antdsl.scene.load import Scene
+
+
+class Entry(NamedTuple):
+    """The entry of a thing of the world, and what the program declares under its name."""
+
+    scene: Scene
+    program: Program
+    report: Report
+    name: str
+    thing: WorldThing
+
+    def span(self, *path: Key, key: bool = False) -> Span:
+        """Return the location of a value of the entry, or of its key."""
+        return self.scene.span("world", self.name, *path, key=key)
+
+    def check_file(self, text: str, *path: Key) -> None:
+        """Check whether a file that the entry names exists."""
+        check_file(self.scene, self.report, text, "world", self.name, *path)
+
+    def report_unknown(self, what: str, known: Iterable[str], *path: Key) -> None:
+        """Report a value of the entry that is not among the known names."""
+        report_unknown(self.report, self.scene, ("world", self.name, *path), what, known, key=False)
+
+
+def report_unknown(
+    report: Report, scene: Scene, path: tuple[Key, ...], what: str, known: Iterable[str], *, key: bool = True
+) -> None:
+    """Report a name that is not among the known ones; with `key`, it is the last key of the path."""
+    names = sorted(known)
+    name = str(path[-1]) if key else scene.span(*path).text.strip("\"'")
+    near = nearest_name(name, names)
+    help = f"did you mean `{near}`?" if near else ("known: " + ", ".join(f"`{n}`" for n in names[:12]) if names else None)
+    report.error("unknown-thing", f"{what} `{name}`", scene.span(*path, key=key), help)
+
+
+def check_file(scene: Scene, report: Report, text: str, *path: Key) -> None:
+    """Check whether a file, or the files of a sequence, exist."""
+    try:
+        files = scene.roots.sequence(text).values() if scene.roots.is_sequence(text) else (text,)
+        size = max(scene.roots.file_size(file) for file in files)
+    except PathRefused as refused:
+        report.error(refused.code, str(refused), scene.span(*path), refused.help)
+        return
+    if size > limits.MESH_BYTES:
+        report.error("too-large", f"`{text}` has {size:,} bytes, more than {limits.MESH_BYTES:,}", scene.span(*path))
+
+
+def check_attributes(entry: Entry, quantities: Mapping[str, Quantity], known: list[str], *path: Key) -> None:
+    """Check values of items' attributes against the program's declarations."""
+    declared = {a.name: a for a in entry.thing.attributes}
+    for key, quantity in quantities.items():
+        place = ("world", entry.name, *path, key)
+        if key not in declared:
+            report_unknown(entry.report, entry.scene, place, f"`{entry.name}` has no attribute", known)
+        elif declared[key].type.kind is Kind.NUMBER:
+            check_dimension(entry.scene, entry.report, quantity, declared[key].type.dim, key, *place)
+
+
+def check_dimension(scene: Scene, report: Report, value: Quantity, dim: Dim, name: str, *path: Key) -> bool:
+    """Return whether a value has a dimension; report an error otherwise."""
+    if value.dim == dim:
+        return True
+    words, unit = f"`{name}` is {dimension_words(dim)}", default_unit(dim)
+    if value.is_bare:
+        help = f"write `{with_unit(value.number, dim)}`"
+        report.error("missing-unit", f"{words}, and `{value.text}` has no unit", scene.span(*path), help)
+    else:
+        help = f"write a value in `{unit}`" if unit else "write the number alone"
+        report.error("wrong-unit", f"{words}, not {dimension_words(value.dim)}", scene.span(*path), help)
+    return False

@@ -1,0 +1,206 @@
+"""How a scene gives each kind of thing of the world: one class for each row of `antdsl.program.tables.things`.
+
+It lists the forms that a thing may have in the file, checks an entry against the program, and says which data it becomes. No file
+is read here: `staging` does that, with NumPy."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from antdsl.program.model import Dim
+from antdsl.program.tables.things import KINDS_OF_THINGS
+from antdsl.program.tables.units import dimension_words
+from antdsl.scene import thing_models as forms
+from antdsl.scene.document import Key
+from antdsl.scene.entry_checks import Entry, check_attributes, report_unknown
+
+if TYPE_CHECKING:
+    from antdsl.scene.load import Scene
+    from antdsl.scene.staging.stage_scene import Staging
+
+
+_GOALS = ("tangent", "toward", "away", "solved")  # keys that name where a flow leads
+
+
+@dataclass(frozen=True, slots=True)
+class SceneKind:
+    """A kind of thing in scenes. `models`: the forms that it may have. `group`: the mapping of the staging, and of the setting,
+    that has its data. `lacks`: what is missing if the scene has no entry for it. `unseen_keys`: keys of things in pictures that
+    it cannot have."""
+
+    models: tuple[type, ...]
+    group: str
+    lacks: str = "geometry"
+    unseen_keys: tuple[str, ...] = ()
+
+    def check(self, entry: Entry, value: Any) -> None:
+        """Report what of an entry does not match the program. Files are not read; they only have to exist."""
+        if isinstance(value, forms.ThingModel) and value.names_file:
+            entry.check_file(getattr(value, value.head()), value.head())
+        if isinstance(value, forms.UsdThing):
+            self.check_item_keys(entry, value)
+        if isinstance(value, forms.ScaledThing):
+            self.check_voxel(entry, value)
+            _check_scale(entry, value)
+
+    def check_item_keys(self, entry: Entry, value: forms.UsdThing) -> None:
+        """Report settings of a part of a USD file that only apply to items."""
+        for key in ("each", "kind", "turn", *self.unseen_keys):
+            if key in value.model_fields_set:
+                users = "what is seen" if key in self.unseen_keys else "items"
+                words = f"`{key}` is for {users}, but `{entry.name}` is a {entry.thing.kind}"
+                entry.report.error("wrong-kind", words, entry.span(key, key=True), "delete it")
+
+    def check_voxel(self, entry: Entry, value: forms.ScaledThing) -> None:
+        """Report voxels of a thing that has none."""
+        if value.voxel is not None:
+            words = f"`{entry.name}` is {entry.thing.kind} in the program, and only solids have voxels"
+            entry.report.error("wrong-value", words, entry.span("voxel"), f"leave it out, or declare `solid {entry.name}`")
+
+    def stage(self, staging: Staging, name: str, value: Any) -> Any:
+        """Return the data of a thing, in mm and the scene's axes; or report an error and return None."""
+        return staging.read(self.group, name, value)
+
+
+def _check_scale(entry: Entry, value: forms.ScaledThing) -> None:
+    if abs(value.scale) < 1e-6:
+        entry.report.error("wrong-value", "a scale of 0 leaves no mesh", entry.span("scale"), "write `scale: 1`")
+    elif value.scale < 0:
+        help = "its faces are turned so that outside stays outside"
+        entry.report.warning("mirrored", f"the mesh of `{entry.name}` is mirrored", entry.span("scale"), help)
+
+
+class Solid(SceneKind):
+    """Closed meshes that become voxels. They do not move."""
+
+    def check(self, entry: Entry, value: Any) -> None:
+        if value.keys or (isinstance(value, forms.MeshThing) and entry.scene.roots.is_sequence(value.mesh)):
+            words, place = f"the solid `{entry.name}` cannot move", entry.span("keys" if value.keys else "mesh")
+            entry.report.error("wrong-value", words, place, "give it one place for all frames")
+        super().check(entry, value)
+
+    def check_voxel(self, entry: Entry, value: forms.ScaledThing) -> None:
+        if value.voxel is None:
+            words, help = f"`{entry.name}` is solid, but no `voxel` is given", "a fourth of a body or less: `voxel: 1 mm`"
+            entry.report.error("missing-key", words, entry.span(), f"add the edge of its voxels, {help}")
+
+
+class Items(SceneKind):
+    """Items with entries of their own, or points and empties of a USD file."""
+
+    def check(self, entry: Entry, value: Any) -> None:
+        if not isinstance(value, dict):
+            super().check(entry, value)
+            return
+        known = [*(a.name for a in entry.thing.attributes), "at", "on", "radius", "keys", "look"]
+        surfaces = entry.program.of_kind("surface")
+        for item, placed in value.items():
+            if placed.on is not None and placed.on not in surfaces:
+                entry.report_unknown("no surface is named", surfaces, item, "on")
+            check_attributes(entry, placed.model_extra or {}, known, item)
+
+    def check_item_keys(self, entry: Entry, value: forms.UsdThing) -> None:
+        declared = {a.name: a.type for a in entry.thing.attributes}
+        check_attributes(entry, value.each.model_extra or {}, [*declared, "radius"], "each")
+        axes = value.turn if isinstance(value.turn, tuple) else ()
+        expected, words = (Dim(), "is a component of a direction, without a unit") if axes else (Dim(angle=1), "is an angle")
+        for number, attribute in enumerate(axes or ([] if value.turn is None else [str(value.turn)])):
+            path: tuple[Key, ...] = ("turn", number) if axes else ("turn",)
+            if attribute not in declared:
+                entry.report_unknown(f"`{entry.name}` has no attribute", declared, *path)
+            elif declared[attribute].dim != expected:
+                has = dimension_words(declared[attribute].dim)
+                message = f"what `turn` gives `{attribute}` {words}, but `{attribute}` of `{entry.name}` is {has}"
+                help = f"declare `{attribute} = 0`" if axes else f"declare `{attribute} = 0 deg`"
+                entry.report.error("wrong-unit", message, entry.span(*path), help)
+
+
+def is_file(text: str) -> bool:
+    """Return whether a target is the path of a file and not a name of the world."""
+    return any(sign in text for sign in "./:")
+
+
+def find_goal(thing: forms.FlowThing | forms.PaintedThing) -> tuple[str, forms.Target] | None:
+    """Return the key and the value of a flow's target."""
+    key = next((key for key in _GOALS if hasattr(thing, key)), None)
+    return None if key is None else (key, getattr(thing, key))
+
+
+class Flow(SceneKind):
+    """Flows and maps."""
+
+    def check(self, entry: Entry, value: Any) -> None:
+        surfaces = entry.program.of_kind("surface")
+        if not surfaces and not isinstance(value, forms.SpreadFlow):
+            words = f"`{entry.name}` is painted on a surface, and no program has one"
+            entry.report.error("missing-thing", words, entry.span(), "declare one: `world { surface ground }`")
+            return
+        for key in ("on", "border"):
+            if getattr(value, key, None) not in (None, *surfaces):
+                entry.report_unknown("no surface is named", surfaces, key)
+        if isinstance(value, forms.PaintedThing):
+            if value.on is None and len(surfaces) > 1 and find_painted_surface(entry.scene, surfaces, value) is None:
+                words = f"`{entry.name}` does not name the surface it is painted on"
+                entry.report.error("missing-key", words, entry.span("painted"), f"add `on: {surfaces[0]}`")
+            super().check(entry, value)
+        if isinstance(value, forms.TangentFlow) and value.gather and value.radius is None:
+            words = "`gather` sets the strength at the radius, but there is no `radius`"
+            entry.report.error("missing-key", words, entry.span("gather", key=True), "add `radius: 50 mm`")
+        if isinstance(value, forms.SolvedFlow):
+            _check_solved(entry, value)
+        key, text = find_goal(value) or ("", "")
+        if not isinstance(text, str) or not text:
+            return
+        lines_only = key == "tangent"
+        if is_file(text):
+            entry.check_file(text, key)
+        elif text not in (known := _goal_names(entry, lines_only)) and (lines_only or not entry.scene.model.has_usd_items):
+            entry.report_unknown("no curve is named" if lines_only else "no curve and no item is named", known, key)
+
+
+def _check_solved(entry: Entry, thing: forms.SolvedFlow) -> None:
+    maps = entry.program.of_kind("map")
+    for key in thing.maps:
+        if key not in maps:
+            report_unknown(entry.report, entry.scene, ("world", entry.name, "maps", key), "no map is named", maps)
+    dug = any(KINDS_OF_THINGS[t.kind].is_dug for t in entry.program.world.values())
+    if thing.every is not None and not (thing.crowding or dug or _may_move(entry.scene)):
+        words, help = f"no input of `{entry.name}` changes, so it is solved once", "leave `every` out, or add `crowding: 2`"
+        entry.report.error("wrong-value", words, entry.span("every", key=True), help)
+
+
+def _may_move(scene: Scene) -> bool:
+    """Return whether anything of the world may move, as far as is known without opening files."""
+    things = [each for value in scene.model.world.values() for each in (value.values() if isinstance(value, dict) else (value,))]
+    paths = (getattr(each, key, None) for each in things for key in ("mesh", "curve"))
+    return any(getattr(each, "keys", None) or hasattr(each, "usd") for each in things) or any("#" in p for p in paths if p)
+
+
+def _goal_names(entry: Entry, lines_only: bool) -> list[str]:
+    curves = entry.program.of_kind("curve")
+    if lines_only:
+        return curves
+    items = {n: v for n, v in entry.scene.model.world.items() if isinstance(v, dict)}
+    return curves + list(items) + [item for group in items.values() for item in group]
+
+
+def find_painted_surface(scene: Scene, surfaces: list[str], thing: forms.PaintedThing) -> str | None:
+    """Return the surface with the paint in its own file."""
+    meshes = {n: scene.model.world.get(n) for n in surfaces}
+    own = [n for n, m in meshes.items() if thing.painted in (getattr(m, "mesh", None), getattr(m, "usd", None))]
+    return own[0] if len(own) == 1 else None
+
+
+_MESHES = (forms.MeshThing, forms.UsdThing)
+_FLOWS = (forms.TangentFlow, forms.TowardFlow, forms.AwayFlow, forms.BorderFlow, forms.SolvedFlow, forms.PaintedThing)
+KINDS: Mapping[str, SceneKind] = {
+    "surface": SceneKind((forms.MeshThing, forms.HeightThing, forms.UsdThing), "surfaces"),
+    "obstacle": SceneKind(_MESHES, "obstacles"),
+    "solid": Solid(_MESHES, "solids"),
+    "curve": SceneKind((forms.CurveThing, forms.UsdThing), "curves", unseen_keys=("look",)),
+    "items": Items((dict, forms.UsdThing), "items", lacks="place"),
+    "flow": Flow(_FLOWS, "flows"),
+    "map": Flow((forms.PaintedThing,), "maps"),
+}

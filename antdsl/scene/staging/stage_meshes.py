@@ -1,0 +1,107 @@
+"""Reads the mesh of a surface, obstacle or solid from its file, and places it in the scene."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from antdsl import limits
+from antdsl.scene import setting as stage_of
+from antdsl.scene.geometry.heights import height_surface, read_heights, surface_deviation
+from antdsl.scene.geometry.mesh_text import MeshError
+from antdsl.scene.geometry.meshes import RawMesh, check_mesh, mesh_within_limits, placed, read_mesh
+from antdsl.scene.paths import PathRefused
+from antdsl.scene.staging.mesh_imports import close_solid, report_losses, weld_thing
+from antdsl.scene.staging.size_checks import refuse_if_many
+from antdsl.scene.staging.stage_things import place_moves, read_moving_mesh, stage_usd_mesh
+from antdsl.scene.thing_models import UNIT_MM, HeightThing, MeshThing, UsdThing, angles, millimetres
+
+if TYPE_CHECKING:
+    from antdsl.scene.staging.stage_scene import Staging
+
+
+def stage_mesh(staging: Staging, name: str, value: MeshThing | HeightThing | UsdThing) -> stage_of.MeshData | None:
+    """Return a mesh as at the first frame; its motion goes into `staging.moves`."""
+    scene, report = staging.scene, staging.report
+    up, unit_mm = scene.model.up, scene.model.unit_mm
+    if isinstance(value, UsdThing):
+        key, display_name, factor, own_up = "prim", value.path, value.scale, up
+        geometry = stage_usd_mesh(staging, name, value)
+    elif isinstance(value, HeightThing):
+        key, display_name, factor, own_up = "height", value.height, 1.0, "y"
+        geometry = _read_height_mesh(staging, name, value)
+    else:
+        key, display_name = "mesh", value.mesh
+        factor, own_up = UNIT_MM[value.units or value.own_units or scene.model.units] * value.scale, value.own_up or up
+        geometry = (
+            read_moving_mesh(staging, name, value)
+            if scene.roots.is_sequence(value.mesh)
+            else _read_still_mesh(staging, name, value)
+        )
+    if geometry is None:
+        return None
+    raw, inner = geometry
+    span = scene.span("world", name, key)
+    try:
+        mesh = placed(raw, factor=factor, own_up=own_up, up=up, angles=angles(value), at=millimetres(value.at, unit_mm))
+        moving = place_moves(staging, value, raw, inner, factor, own_up)
+        if moving is not None:
+            rest, moves = moving
+            mesh = mesh_within_limits(rest, mesh.faces)
+            if moves is not None:
+                staging.moves[name] = moves
+    except MeshError as why:
+        report.error("bad-mesh", f"the mesh `{display_name}` {why}", span, why.help)
+        return None
+    staging.raw[name] = raw
+    mesh = weld_thing(staging, name, value, mesh)
+    report_losses(staging, display_name, raw, span)
+    return mesh
+
+
+def _read_still_mesh(staging: Staging, name: str, value: MeshThing) -> tuple[RawMesh, None] | None:
+    data = staging.read_file(value.mesh, limits.MESH_BYTES, "world", name, "mesh")
+    if data is None:
+        return None
+    try:
+        return read_mesh(data, value.mesh, value.group, staging.sibling_reader(value.mesh)), None
+    except PathRefused as refused:
+        words = f"the mesh `{value.mesh}` names a buffer: {refused}"
+        staging.report.error(refused.code, words, staging.scene.span("world", name, "mesh"), refused.help)
+        return None
+    except MeshError as why:
+        key = "mesh" if value.group is None else "group"
+        staging.report.error("bad-mesh", f"the mesh `{value.mesh}` {why}", staging.scene.span("world", name, key), why.help)
+        return None
+
+
+def _read_height_mesh(staging: Staging, name: str, value: HeightThing) -> tuple[RawMesh, None] | None:
+    """A surface of samples, in mm, y up."""
+    data = staging.read_file(value.height, limits.MESH_BYTES, "world", name, "height")
+    if data is None:
+        return None
+    unit_mm = staging.scene.model.unit_mm
+    offset = 0.0 if value.offset is None else value.offset.length(unit_mm)
+    try:
+        heights = offset + value.scale.length(unit_mm) * read_heights(data, value.height, value.array, value.layer)
+        x, z = (side.length(unit_mm) for side in value.extent)
+        raw = check_mesh(*height_surface(heights, (x, z)))
+    except MeshError as why:
+        span = staging.scene.span("world", name, "height")
+        staging.report.error("bad-mesh", f"the heights `{value.height}` {why}", span, why.help)
+        return None
+    staging.deviations[name] = surface_deviation(heights)
+    return raw, None
+
+
+def stage_solid(staging: Staging, name: str, value: MeshThing | UsdThing) -> stage_of.SolidData | None:
+    """Return a solid; or report an error and return None. A request for too many voxels is rejected before any is created."""
+    mesh = stage_mesh(staging, name, value)
+    if mesh is None or value.voxel is None:  # that it is missing was reported when the scene was matched
+        return None
+    edge = value.voxel.length(staging.scene.model.unit_mm)
+    across = [float(side) / edge + 1 for side in np.ptp(mesh.vertices, axis=0)]
+    refuse_if_many(staging, across[0] * across[1] * across[2], limits.VOXELS, f"`{name}`", "voxels", edge, "world", name, "voxel")
+    solid = stage_of.SolidData(mesh, edge)
+    return close_solid(staging, name, value, solid) if staging.report.ok else solid
