@@ -90,7 +90,7 @@ class Stage:
 
 @contextmanager
 def staged(folder: Path) -> Iterator[Stage]:
-    """A scheduler that runs; nobody has come to it yet."""
+    """A scheduler that runs and has no workers yet."""
     stage = Stage(folder, certificates(folder / "tls"))
     try:
         stage.scheduler()
@@ -102,7 +102,7 @@ def staged(folder: Path) -> Iterator[Stage]:
 
 
 def antdsl(*words: str, cwd: Path, **environment: str) -> subprocess.Popen[str]:
-    """A command of antdsl in a process of its own."""
+    """A command of antdsl in a separate process."""
     command = [sys.executable, "-m", "antdsl", *words]
     env = {**os.environ, "PYTHONPATH": _python_path(), **environment}
     return subprocess.Popen(command, cwd=cwd, env=env, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)

@@ -1,5 +1,5 @@
-"""Reads the pages of docs/codes and does what their examples say. `python tests/code_pages.py [CODE…]` writes anew what antdsl
-says about the wrong ones, and the index; that text is for a person to read before it is kept.
+"""Reads the pages of docs/codes and does what their examples say. `python tests/code_pages.py [CODE…]` writes again what antdsl
+says about the wrong ones, and the index. Read that text before you commit it.
 
 A page has a title, the code's meaning, why it matters, and the sections Wrong and Right. In a section:
 

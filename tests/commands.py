@@ -1,5 +1,5 @@
 """Commands of antdsl as a shell runs them, in this process: what they print and their exit code. Starting one costs nothing here;
-what only a process of its own can show (signals, closed pipes, encodings, start-up) is tested with `subprocess`."""
+what only a separate process can show (signals, closed pipes, encodings, start-up) is tested with `subprocess`."""
 
 from __future__ import annotations
 

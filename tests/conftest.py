@@ -1,6 +1,6 @@
 """What all tests share: `--update`, the order of files, how many examples Hypothesis draws, meshes that are prepared once a file.
 
-`pytest --update` writes golden files anew instead of comparing with them; the difference is for a person to read.
+`pytest --update` writes golden files again instead of comparing with them; the difference is for a person to read.
 `pytest --hypothesis-profile=many` draws fifty times as many examples as are drawn otherwise.
 """
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # Files that take longest are begun first, or at the end one process would be at work on one of them while the others wait.
 LONGEST = (
-    "test_preview_browser", "test_preview_browser_tools", "test_specs_kept", "test_docs_shell", "test_session", "test_cache",
+    "test_preview_browser", "test_preview_browser_tools", "test_saved_failures", "test_docs_shell", "test_session", "test_cache",
     "test_same_bits", "test_docs", "test_preview_view", "test_preview_shown", "test_preview_live", "test_local_edits",
     "test_preview_why", "test_foraging", "test_page_panels", "test_explain", "test_profiling", "test_walk",
     "test_preview_coming_back", "test_digging", "test_new_project", "test_preview_memory", "test_foraging_rates",
@@ -48,7 +48,7 @@ for variable in ("ANTDSL_NATIVE_CACHE", "ANTDSL_TABLE_CACHE"):
         os.environ[variable] = tempfile.mkdtemp(prefix="antdsl-code-") if can_sign() else ""
         atexit.register(shutil.rmtree, os.environ[variable], ignore_errors=True)
 
-# Time says nothing here: whoever runs the tests may have a slow machine, or a busy one.
+# Times mean nothing here: the machine may be slow or busy.
 settings.register_profile("few", max_examples=40, deadline=None)
 settings.register_profile("many", max_examples=2000, deadline=None)
 settings.load_profile("few")
@@ -63,7 +63,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 class SharedCache(dict[str, Any]):
-    """What all `Built` of a process keep together, and what of it was asked for."""
+    """Values that all `Built` of a process share, and which of them were requested."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -80,7 +80,7 @@ SHARED_CACHE = SharedCache()
 @pytest.fixture(scope="module", autouse=True)
 def _shared_meshes() -> Iterator[None]:
     """What is made of meshes is made once a file or two, not once a world: most worlds stand on the same ground. How it is made
-    is tested where it is made. A file whose tests simulate has imported what does before the first of them."""
+    is tested where it is made. A file with tests that simulate has imported what does before the first of them."""
     reuse = sys.modules.get("antdsl.runtime.binding.reuse")
     if reuse is None:
         yield

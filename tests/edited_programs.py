@@ -1,4 +1,4 @@
-"""Small programs with their scene as plain values, written out as text, edited at random; and what must be kept, from these
+"""Small programs with their scene as plain values, written out as text, edited at random; and what must continue, from these
 values alone: the tests' own idea of a reload, which knows nothing of plans and registers."""
 
 from __future__ import annotations
@@ -285,7 +285,7 @@ def broken(project: Project, rng: random.Random) -> dict[str, str | None]:
     )
 
 
-# --- what must be kept -------------------------------------------------------------------------------------------------
+# --- what must continue -------------------------------------------------------------------------------------------------
 
 
 @dataclass

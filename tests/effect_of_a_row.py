@@ -1,5 +1,5 @@
 """A statement that antdsl does not have, from its rows to a run: `python tests/effect_of_a_row.py` adds its rows before anything
-is made from the tables, makes the grammar anew in a folder of its own, and tells as JSON what every part makes of the line
+is made from the tables, generates the grammar in a separate folder, and prints as JSON what every part makes of the line
 `scratch ground(depth: 1 mm)`. `tests/program/test_an_effect_of_a_row.py` holds that against what it should be."""
 
 from __future__ import annotations

@@ -1,9 +1,8 @@
 """Crowds that are empty for a part of a run, and a program that asks them all that the language can ask.
 
 The program is made from the tables of the language, so a new sense, set, reduction or effect is in it without an edit here.
-Askers look at rabbits; eggs bear both. Who is there in which frames hangs on counts and params alone, so that all `LIVES` are one
-plan, whose machine code is made once.
-"""
+Askers look at rabbits; eggs bear both. Only counts and params decide which agents exist in which frames. So all `LIVES` are one
+plan, and its machine code is built once."""
 
 from __future__ import annotations
 
@@ -45,7 +44,7 @@ ARGUMENTS = {
     "species": "rabbit",
     "set": "neighbours(40 mm, of: rabbit)",
 }
-# How a value of any type becomes a number that is kept: the first form that the checker takes.
+# How a value of any type becomes a stored number: the first form that the checker takes.
 MEASURES = (
     "clamp({}, -9 .. 9)",
     "(if {} then 1 else 0)",
@@ -171,7 +170,7 @@ def _argument_text(arg: Arg) -> str:
 
 @cache
 def sets() -> tuple[str, ...]:
-    """All sets that can be asked for, by the table."""
+    """All sets that can be queried, by the table."""
     return tuple({call: 0 for op in sorted(GIVES_SET) for word in SET_SENSES[op].rows for call in calls(word)})
 
 
@@ -187,7 +186,7 @@ def reduced(every: bool) -> tuple[tuple[str, str, str], ...]:
 
 @cache
 def samples() -> tuple[tuple[str, str], ...]:
-    """Each sense as a value that is kept, or as a line; its word and its text. About agents, these are rabbits."""
+    """Each sense as a stored value, or as a line; its word and its text. About agents, these are rabbits."""
     op_texts = [(word.op, word.sample) for how in ("call", "name") for word in senses.find_words(how) if word.sample]
     op_texts += [
         ("field_max", "max(trail, nearest: 9)"),
@@ -220,7 +219,7 @@ def written(word: str, sample: str) -> str:
 @cache
 def plan(size: Size = "all") -> ir.Plan:
     """The program of all senses, sets, reductions and effects; `pairs`: of each reduction of each set; `sets`: without the other
-    senses and layers, whose machine code takes long to make."""
+    senses and layers, because their machine code takes long to build."""
     every = size == "pairs"
     lines = [] if size == "sets" else [line for _, line in samples()]
     names = [f"r{number}" for number in range(len(reduced(every)))]

@@ -1,5 +1,5 @@
-"""Scene files whose crowd is empty for a part of the frames, with everything that outputs show: bodies with skeletons, layers and
-legs, capsules, fields, flows, feelers, items, events, what is dug, and a camera."""
+"""Scene files with a crowd that is empty for a part of the frames, with everything that outputs show: bodies with skeletons,
+layers and legs, capsules, fields, flows, feelers, items, events, what is dug, and a camera."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A run whose every step is written down as it happens, to hold explanations against: what won, what pushed, what was drawn."""
+"""A run with a record of every step, to hold explanations against: what won, what pushed, what was drawn."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A session whose every step is written down as it happens, while it is edited, to hold explanations against."""
+"""A session with a record of every step, while it is edited, to hold explanations against."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Allocations of NumPy's arrays that fail: the one of a number, or all from there on, as where memory runs out.
 
-NumPy asks a table of four functions for memory (NEP 49, `PyDataMem_SetHandler`); this one counts what is asked for and passes it
+NumPy asks a table of four functions for memory (NEP 49, `PyDataMem_SetHandler`); this one counts requests and passes them
 to NumPy's own. Memory is given back to NumPy's own directly: no Python may run while NumPy raises an error."""
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class FailingMemory:
         run, memory = threading.Thread.run, self
 
         def asking(thread: threading.Thread) -> None:
-            _call(_SET_HANDLER, memory._capsule)  # each thread has a handler of its own
+            _call(_SET_HANDLER, memory._capsule)  # each thread has its own handler
             run(thread)
 
         self.count = 0

@@ -1,4 +1,4 @@
-"""Machine code in a process whose free memory lies apart: single pages here, all that is longer more than 2 GiB below.
+"""Machine code in a process with scattered free memory: single pages here, all that is longer more than 2 GiB below.
 
 `python tests/far_memory.py` loads a function there and prints `same` where it gives what Python does. Linux alone."""
 
@@ -22,7 +22,7 @@ _PAGES = 3_000  # more than there are gaps of one page
 
 
 def taken(size: int) -> int:
-    """Where Linux puts so many bytes that nobody uses."""
+    """Where Linux puts a number of unused bytes."""
     place = _LIBC.mmap(None, size, _NO_ACCESS, mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | _NO_RESERVE, -1, 0)
     assert place not in (None, ctypes.c_void_p(-1).value), ctypes.get_errno()
     address: int = place

@@ -1,4 +1,4 @@
-"""Shapes of program, each of any size: what stands in them again and again is what a file of somebody, or a hostile one, has."""
+"""Shapes of program, each of any size: what stands in them again and again is what a user's file, or a hostile one, has."""
 
 from __future__ import annotations
 

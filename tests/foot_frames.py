@@ -46,7 +46,8 @@ class BodyFrames:
 
 
 def lean(points: Points, slope: NDArray[np.floating]) -> Points:
-    """Points [L, 3] of trunks whose up is turned to the normal of planes with slopes [2, n]: [3, n, L], by Rodrigues' formula."""
+    """Points [L, 3] of trunks with their up turned to the normal of planes with slopes [2, n]: [3, n, L], by Rodrigues'
+    formula."""
     normal = np.stack([-slope[0], np.ones(slope.shape[1]), -slope[1]], axis=1).astype(float)
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     axis, cosine = np.cross([0.0, 1.0, 0.0], normal), normal[:, 1]

@@ -97,7 +97,7 @@ class Watched:
 
 def watch(world: World, frames: int, every: int = 24) -> Watched:
     """Run, and look at crumbs and surface at every frame, at scent and stones at every so many. Motion counts from the third
-    second on: nobody chose to stand where the crowd was put."""
+    second on: agents did not choose their first positions."""
     record = Watched(world)
     mesh = world.setting.obstacles["stones"]
     stones = RayScene(mesh.vertices, mesh.faces)
@@ -116,7 +116,7 @@ def watch(world: World, frames: int, every: int = 24) -> Watched:
 
 
 def surface_error(world: World) -> float:
-    """How far anybody, as it is written, is off the triangle that it stands on, in body lengths."""
+    """How far the farthest agent, as in the file, is off the triangle that it stands on, in body lengths."""
     foragers = world.populations["forager"]
     away = foragers.position.astype(np.float32) - world.ground.position(foragers.footing)
     return float((np.linalg.norm(away, axis=1) / foragers.now["size"]).max())

@@ -1,4 +1,4 @@
-"""`antdsl`, or a script, in a process of its own that is forked from one which has imported everything: signals and ports for the
+"""`antdsl`, or a script, in a separate process that is forked from one which has imported everything: signals and ports for the
 price of a fork. How a process starts is tested with `subprocess`."""
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Forked:
             os.kill(self._process.pid, number)
 
     def ended(self, seconds: float) -> tuple[int, str]:
-        """Its exit code and all that it printed, once it has ended by itself. TimeoutError if it does not; it is killed then."""
+        """Its exit code and all that it printed, once it has ended normally. TimeoutError if it does not; it is killed then."""
         self._process.join(seconds)
         late = self._process.exitcode is None
         if late:

@@ -1,4 +1,4 @@
-"""Every array of NumPy's in a process of its own ends where memory ends: who reads or writes behind it ends the process.
+"""Every array of NumPy's in a separate process ends where memory ends: who reads or writes behind it ends the process.
 
 `python tests/guarded_memory.py STEPS PROGRAMS COUNT...` runs worlds of so many agents as machine code and in NumPy and prints
 `same` where all states are equal: those of one plan with every operation, and of so many random programs. `--past` reads one byte
@@ -23,7 +23,7 @@ _LIBC.munmap.argtypes = [ctypes.c_void_p, ctypes.c_size_t]
 _PAGE = mmap.PAGESIZE
 _NO_ACCESS = 0
 _SET_HANDLER = 304  # of PyDataMem_SetHandler in the table of NumPy's C interface
-_known: dict[int, tuple[int, int, int]] = {}  # by address: where the pages begin, their bytes, bytes asked for
+_known: dict[int, tuple[int, int, int]] = {}  # by address: where the pages begin, their bytes, bytes requested
 
 
 def _allocate(size: int) -> int:

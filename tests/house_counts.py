@@ -1,8 +1,8 @@
 """Counts of the code: `python tests/house_counts.py [TREE]` for this tree or another one, `--list` with the places.
 
-Lines and files, the rooms with most files side by side, long functions, functions of many parameters, `Any`, imports inside
-functions (of the package's own modules, and of others), modules that import each other in a circle, and file names that stand in
-several rooms. None of the counts is a goal by itself: they tell where to look."""
+Lines and files, the packages with most files in one folder, long functions, functions of many parameters, `Any`, imports inside
+functions (of the package's own modules, and of others), modules that import each other in a circle, and file names that are in
+several packages. None of the counts is a goal: they show where to look."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def find_places(root: Path) -> dict[str, list[str]]:
     package = root / "antdsl"
     files = {path: ast.parse(path.read_text(encoding="utf-8")) for path in sorted(package.rglob("*.py"))}
     modules = frozenset(module(path, root) for path in files)
-    places: dict[str, list[str]] = defaultdict(list)
+    locations: dict[str, list[str]] = defaultdict(list)
     graph: dict[str, set[str]] = {name: set() for name in modules}
     for path, tree in files.items():
         own = path.relative_to(root).as_posix()
@@ -87,26 +87,28 @@ def find_places(root: Path) -> dict[str, list[str]]:
             if ours and name != module(path, root):
                 graph[module(path, root)].add(name)
             if inside:
-                places["own imports inside functions" if ours else "others' imports inside functions"].append(
+                locations["own imports inside functions" if ours else "others' imports inside functions"].append(
                     f"{own}:{line} {name}"
                 )
         for node in ast.walk(tree):
             if isinstance(node, Function):
                 length = (node.end_lineno or node.lineno) - node.lineno + 1
                 if length > LONG:
-                    places[f"functions over {LONG} lines"].append(f"{own}:{node.lineno} {node.name} ({length})")
+                    locations[f"functions over {LONG} lines"].append(f"{own}:{node.lineno} {node.name} ({length})")
                 if parameters(node) > MANY:
-                    places[f"functions of over {MANY} parameters"].append(f"{own}:{node.lineno} {node.name} ({parameters(node)})")
+                    locations[f"functions of over {MANY} parameters"].append(
+                        f"{own}:{node.lineno} {node.name} ({parameters(node)})"
+                    )
             if isinstance(node, ast.Name) and node.id == "Any":
-                places["Any"].append(f"{own}:{node.lineno}")
-    places["circles of modules"] = [" ".join(group) for group in circles(graph)]
+                locations["Any"].append(f"{own}:{node.lineno}")
+    locations["circles of modules"] = [" ".join(group) for group in circles(graph)]
     names: dict[str, list[str]] = defaultdict(list)
     for path in files:
         names[path.name].append(path.relative_to(root).as_posix())
-    places["names that stand in several rooms"] = [
+    locations["names that stand in several rooms"] = [
         " ".join(v) for k, v in sorted(names.items()) if len(v) > 1 and k != "__init__.py"
     ]
-    return places
+    return locations
 
 
 def counts(root: Path) -> list[tuple[str, int | str]]:

@@ -1,5 +1,5 @@
-"""Texts of `.ant` files in every layout: small programs put together from the lines of real ones, and one text laid out anew at
-random, with comments wherever a line may end."""
+"""Texts of `.ant` files in every layout: small programs put together from the lines of real ones, and one text in a new random
+layout, with comments wherever a line may end."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def program(rng: random.Random) -> str:
 
 
 class Layout:
-    """Lays a text out anew. `comments` and `lines` say whether comments and line ends that mean something may be put in."""
+    """Lays a text out again. `comments` and `lines` say whether comments and line ends that mean something may be put in."""
 
     def __init__(self, rng: random.Random, *, free: bool = True) -> None:
         self.rng, self.free = rng, free

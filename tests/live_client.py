@@ -1,4 +1,4 @@
-"""A page for tests: keeps what it was told and shown, and waits for what is to come."""
+"""A page for tests: stores the messages and packets that it receives, and waits for later ones."""
 
 from __future__ import annotations
 

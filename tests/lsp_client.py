@@ -77,7 +77,7 @@ class Editor:
 
 
 def cursor(text: str) -> tuple[str, lsp.Position]:
-    """A text without its `|`, and where that stood; columns in UTF-16."""
+    """A text without its `|`, and the position of that; columns in UTF-16."""
     prefix, mark, suffix = text.partition("|")
     assert mark, "no `|` in the text"
     line = prefix.count("\n")

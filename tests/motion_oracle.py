@@ -1,6 +1,6 @@
 """A substep of one agent after another in float64, from the definitions: what the kernels of `runtime/moving` are tested against.
 
-Rotations are those of SciPy, angles those of `math`. Walls are asked of the ground, whose rays have tests of their own."""
+Rotations are those of SciPy, angles those of `math`. The ground finds walls; its rays have separate tests."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 `python tests/mutants.py antdsl/ground/plane.py --tests tests/ground/test_ground.py` changes one place of a `@kernel`, `@inlined`
 or `@called` function of the file, runs the tests, restores the file, and repeats that for `--count` places. `--kernel NAME` takes
 functions of that name only. It prints each mutant that survives as a diff, and the share of killed mutants. Mutants that no
-kernel can be made of, or whose kernels have the same text or machine code, are not counted. Do not edit the file meanwhile."""
+kernel can be made of, or with kernels of the same text or machine code, are not counted. Do not edit the file meanwhile."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ COMPARED: dict[type, type] = {
     ast.Eq: ast.NotEq,
     ast.NotEq: ast.Eq,
 }
-TIMES, LEAST_SECONDS = 5, 60  # a mutant whose tests take so many times as long, and so long, does not end
+TIMES, LEAST_SECONDS = 5, 60  # a mutant with tests that take longer than both counts as endless
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ def mutations(source: str, kernel: str | None) -> list[Mutation]:
 
 
 def _nodes(node: ast.AST) -> Iterator[ast.AST]:
-    """A node and all below it, without what says which memory is fetched ahead: that changes no result."""
+    """A node and all below it, without prefetches, which change no result."""
     if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "fetch_ahead":
         return
     yield node
@@ -136,7 +136,7 @@ def texts(file: Path) -> dict[str, str]:
 
 
 def digests(file: Path, compiled: bool = False) -> dict[str, str] | None:
-    """The hashes of these texts in a process of its own, or those of their machine code; None where they cannot be made."""
+    """The hashes of these texts in a separate process, or those of their machine code; None where they cannot be made."""
     words = [sys.executable, __file__, str(file), "--digests", "code" if compiled else "text"]
     process = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, env=_environment())
     return json.loads(process.stdout) if process.returncode == 0 else None

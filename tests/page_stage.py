@@ -1,4 +1,4 @@
-"""The preview's page in a browser, with the test as its server: what it asks is noted, what it is told is up to the test."""
+"""The preview's page in a browser, with the test as its server: the test records its requests and sends its messages."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ window.WebSocket = class extends WebSocket {
 
 
 class Stage:
-    """A page that is open. `asks`: what it asked, each a message that a server takes; `wrong`: what the browser complained of."""
+    """A page that is open. `asks`: its requests, each a message that a server takes; `wrong`: what the browser complained of."""
 
     def __init__(self, page: Page) -> None:
         self.page = page
@@ -71,7 +71,7 @@ class Stage:
         self.drawn()
 
     def drawn(self) -> None:
-        """Wait until all that came so far is on the page, and what the page asked has come here."""
+        """Wait until all that came so far is on the page, and the page's requests have arrived."""
         self.page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
 
     def find(self, name: str) -> Locator:

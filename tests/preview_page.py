@@ -52,7 +52,7 @@ def few(place: Path, count: int) -> Path:
 
 @contextmanager
 def previewed(scene: Path, *flags: str) -> Iterator[str]:
-    """The address of a preview of a scene. It must end well when it is asked to."""
+    """The address of a preview of a scene. It must exit normally on request."""
     words = ("preview", str(scene), "--no-open", "--port", "0", "--threads", "1", *flags)
     process = Forked(*words, cwd=scene.parent)
     try:

@@ -1,4 +1,4 @@
-"""A preview's server with somebody behind it who only notes what is asked, and ways to call it that no browser has."""
+"""A preview's server with a session that only records requests, and calls that no browser makes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SECONDS = 20  # that a test may take at most
 
 @dataclass
 class Noted:
-    """Answers each ask with an outcome of its own; `busy` answers none."""
+    """Answers each ask with a separate outcome; `busy` answers none."""
 
     asks: list[Ask] = field(default_factory=list)
     clients: list[Client] = field(default_factory=list)

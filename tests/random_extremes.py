@@ -172,7 +172,7 @@ class Extremes(random_sensing.Sensing):
         super().__init__(seed)
 
     def lines(self, body: bool) -> str:
-        """As those of any program, at times with one whose value is whatever comes of it."""
+        """As those of any program, at times with one of any resulting value."""
         text = super().lines(body)
         if self.rng.random() < 0.2:
             line = self.rng.choice(self.statements).format(any=self.number(1), rate=" * 1 /s" if body else "")

@@ -1,4 +1,4 @@
-"""Random programs, as text and as a plain reading of it: what each line means for one agent, worked out without any plan.
+"""Random programs, as text and as a plain reading of it: what each line means for one agent, computed without any plan.
 
 `program(rng)` gives both; the reading covers an agent's own numbers, states, changes and memory. What it senses of others is left
 to the backends, which have to agree with each other.
@@ -107,7 +107,7 @@ class Program:
 
 
 class Author:
-    """Writes a program and its reading side by side."""
+    """Writes a program together with its reading."""
 
     def __init__(self, rng: random.Random) -> None:
         self.rng = rng

@@ -1,4 +1,4 @@
-"""Random programs whose species die out and are born again: those of `random_sensing`, with an end to each life and eggs."""
+"""Random programs with species that die out and are born again: those of `random_sensing`, with an end to each life and eggs."""
 
 from __future__ import annotations
 

@@ -269,7 +269,7 @@ ROWS = {
     "N13": Row(
         "other versions of NumPy and Python",
         "differences are reported",
-        ("specs/test_specs_kept.py::test_a_golden_run_of_states_hashed_differently_is_reported_and_rewritten",),
+        ("specs/test_saved_failures.py::test_a_golden_run_of_states_hashed_differently_is_reported_and_rewritten",),
     ),
     # processes and tools
     "R1": Row(

@@ -1,7 +1,7 @@
 """State hashes of the examples, frame by frame: the same on every machine, and unchanged by what only changes the code.
 
 `python tests/state_hashes.py --compare` holds every example against `tests/state_hashes.txt` at frames 0, 1, 2, 4, 8, … and tells
-the first frame that differs; `--record` writes that file anew. `--frames 8` stops after frame 8, `--most 200` takes at most
+the first frame that differs; `--record` writes that file again. `--frames 8` stops after frame 8, `--most 200` takes at most
 so many agents of each line of a crowd (and is only printed: the file is of whole crowds). Scenes may be named one by one. With
 `--feet` compares or records `tests/feet_hashes.txt` instead: hashes of the feet of at most 60 agents of each line, to frame 16.
 COMPILED=oldest in the environment, kernels are compiled for the oldest x86-64. Exit code 1 where a hash differs, so that

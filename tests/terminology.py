@@ -29,6 +29,12 @@ AREAS = {
     "readme": "*.md",
     "grammar": "grammar/*.md",
 }
+EXCEPTIONS = {  # word in a file -> why it stays
+    ("docs/commands.md", "kept"): "a key in the JSON of `antdsl test`, which scripts read",
+    ("docs/commands.md", "asked"): "the file `asked.json` of a sweep, which later versions read",
+    ("tests/runtime/test_native.py", "done"): "the method of the future that a test replaces",
+    ("tests/house/test_terminology.py", "worked out"): "the sample text of this script's own test",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,7 +139,11 @@ def uses_in_comments(path: str, text: str) -> Iterator[Use]:
 
 
 def uses(area: str) -> Iterator[Use]:
-    """Words to avoid in an area."""
+    """Words to avoid in an area, without the exceptions."""
+    return (use for use in _all_uses(area) if (use.path, use.word) not in EXCEPTIONS)
+
+
+def _all_uses(area: str) -> Iterator[Use]:
     for file in sorted(ROOT.glob(AREAS[area])):
         path, text = file.relative_to(ROOT).as_posix(), file.read_text(encoding="utf-8")
         if file == GLOSSARY or "node_modules" in path or "/corpus/" in path:

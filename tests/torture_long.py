@@ -52,7 +52,7 @@ class Rooms:
 @dataclass(slots=True)
 class Walls:
     """Who has gone through a wall: who is in another room than at first. The parity of rays, from a hair above the feet, says
-    who may be; winding numbers, told from so near above the feet that no wall comes between, say who is. In a wedge that is
+    who may be; winding numbers, computed so near above the feet that no wall comes between, say who is. In a wedge that is
     narrower than a hair the hair is in the next room."""
 
     rooms: Rooms
@@ -79,8 +79,8 @@ class Walls:
 
 
 def start_crowd(ground: MeshGround, mesh: Mesh, closed: list[Mesh], n: int, rng: np.random.Generator) -> Move:
-    """A crowd. Where stones are sunk in each other nobody begins in the sunken part of one; nor where feet are in another room
-    than the eye above them, that looks out for the other stones."""
+    """A crowd. Where stones are sunk in each other no agent begins in the sunken part of one; nor where feet are in another room
+    than the eye above them, which sees the other stones."""
     begin = crowd(ground, [mesh], n if len(closed) < 2 else 3 * n, rng)
     if len(closed) > 1:
         free = ~np.any([np.abs(winding(each, above(ground, begin))) > 0.5 for each in closed], axis=0)
@@ -106,7 +106,7 @@ def solid(name: str, mesh: Mesh) -> list[Mesh]:
 @dataclass(slots=True)
 class Walked:
     """What is seen of a crowd on a shape: of how many, how many of them went through a wall, how many met no surface at some
-    step (nobody who walks over triangles should: borders are not counted), and seconds that each move took."""
+    step (no agent that walks over triangles should: borders are not counted), and seconds that each move took."""
 
     measures: WalkMeasures
     agents: int

@@ -20,7 +20,7 @@ from antdsl.ground.protocol import Footing, Move
 EXAMPLE = Path(__file__).resolve().parents[1] / "examples" / "torture"
 BODY = 4.0
 STEP = 1.25
-HAIR = 1e-4  # mm: how far above its surface an agent is when it is asked in what it is
+HAIR = 1e-4  # mm: how far above its surface an agent is for the test of what it is in
 JUMP = 0.6 * BODY  # beyond the step: of those who step over to another surface or round a border
 
 
@@ -48,7 +48,7 @@ def crowd(ground: MeshGround, meshes: list[Mesh], n: int, rng: np.random.Generat
 
 
 def wander(ground: MeshGround, at: Move, steps: int, rng: np.random.Generator, threads: int = 1) -> Iterator[tuple[Move, Move]]:
-    """Go on and on, turning at random: where everybody was and is."""
+    """Go on and on, turning at random: all positions before and after."""
     for _ in range(steps):
         heading = at.heading + np.cross(at.up, at.heading) * rng.normal(0, 0.3, (len(at.up), 1))
         heading /= np.linalg.norm(heading, axis=1, keepdims=True)
@@ -59,7 +59,7 @@ def wander(ground: MeshGround, at: Move, steps: int, rng: np.random.Generator, t
 
 
 def above(ground: MeshGround, at: Move, high: float = HAIR) -> NDArray[np.float64]:
-    """Places a hair off the surface, or `high` mm, on the side that everybody is on."""
+    """Places a hair off the surface, or `high` mm, on the side that all agents are on."""
     normal = ground.normal(at.footing)
     return at.position + normal * np.where((normal * at.up).sum(axis=1) < 0, -high, high)[:, None]
 

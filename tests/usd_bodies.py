@@ -1,5 +1,5 @@
 """A body in USD: a skeleton of three joints somewhere in a stage, a skinned mesh with a blend shape and an in-between, an
-animation of some joints, and a mesh that follows nobody. Needs usd-core."""
+animation of some joints, and a mesh that follows no joint. Needs usd-core."""
 
 from __future__ import annotations
 

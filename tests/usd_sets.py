@@ -1,7 +1,7 @@
 """A set of another department, twice: as USD in centimetres, Z-up, with nested and moving transforms, instances and references;
 and baked by hand to OBJ in millimetres, Y-up. `python tests/usd_sets.py FOLDER` writes both.
 
-The baked one goes no way through USD: its places are worked out here with plain sums."""
+The baked one goes no way through USD: its places are computed here with plain sums."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The job of a measuring process and its result, as plain values that go through JSON. Each job has a separate process, so its
-memory and start-up are its own."""
+"""Requests to measuring processes and their results, as plain values that are sent as JSON; and a job in a separate process,
+which shares its memory and its start-up with no other job."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class SetUp:
     """CPU seconds until the first frame, and to have machine code after it.
 
     Until the first frame: `start`: Python and packages. `compile`: from the texts to a plan and meshes. `bind`: to a world.
-    `first`: the first step. After it: `code`: to build machine code that no run has cached. `kept`: to load cached machine code
+    `first`: the first step. After it: `code`: to build machine code that no run has cached; then to load cached machine code
     (None for a backend without machine code, or if no folder can store it). `second`: the second step, the first one in machine
     code."""
 

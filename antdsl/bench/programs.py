@@ -28,7 +28,7 @@ species boid {
 """
 
 CROWD = """ant 1
-"People on an open place, each on a course of its own: round the others by velocities that avoid collisions."
+"People on an open place, each on its own course: round the others by velocities that avoid collisions."
 use steering
 
 species person {

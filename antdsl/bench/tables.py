@@ -39,7 +39,7 @@ def backend_of(measured: Measurement) -> str:
     return measured.job.backends[0]
 
 
-SET_UP = ("start", "compile", "bind", "first step", "code", "code kept", "second step")
+SET_UP = ("start", "compile", "bind", "first step", "code", "code cached", "second step")
 COLUMNS = (
     "backend", "run, CPU ms", "run, wall ms", "run, frames/s", "step in run, CPU ms", "feet in run, CPU ms",
     "bare step, CPU ms", "wall ms", "frames/s", "µs per agent",

@@ -1,6 +1,6 @@
-"""An agent definition made ready to be drawn: one mesh whose vertices follow the poses of many agents.
+"""An agent definition prepared for drawing: one mesh with vertices that follow the poses of many agents.
 
-Agents that are small in a picture get coarse shapes: points of a grid's cell become one (vertex clustering; J. Rossignac and
+Agents that are small in a picture get coarse shapes: all points in a grid cell become one (vertex clustering; J. Rossignac and
 P. Borrel, Multi-resolution 3D approximations for rendering complex scenes, 1993)."""
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
-"""What graphics hardware draws of an agent definition: one mesh whose vertices follow up to four bones each, and its blend shapes
-as targets with a weight each for every agent."""
+"""An agent definition for graphics hardware: one mesh in which each vertex follows up to four bones, and its blend shapes as
+targets with a weight for each agent."""
 
 from __future__ import annotations
 

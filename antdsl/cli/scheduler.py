@@ -1,7 +1,7 @@
-"""Where the tasks of a command run: on processes of this machine, or on a Dask cluster, one of its own or one that is there;
-and how a command that is long at work is stopped.
+"""Chooses where the tasks of a command run: in processes of this machine, or on a Dask cluster, a new or an existing one; and
+stops a command that takes long.
 
-Workers of a cluster that read a cache see the folder that it lies in, or are sent its files."""
+Workers of a cluster read a cache from a shared folder, or receive its files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Complaints and how they are shown."""
+"""Findings and their output formats."""
 
 from antdsl.diagnostics.model import Diagnostic, Fix, Label, Report
 

@@ -1,4 +1,4 @@
-"""For people: the message, the line with the place marked under it, and what to write instead."""
+"""Formats findings for people: the message, the source line with the location marked below it, and the text to write instead."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _block(diagnostic: Diagnostic) -> str:
 
 
 def _snippet(span: Span, margin: int, arrow: str, mark: str, text: str) -> list[str]:
-    """The line of a span's start, with the span marked up to that line's end."""
+    """Return the line in which a span starts, with the span marked up to that line's end."""
     place = line_range(span)
     bar = f"{' ' * margin} |"
     head = f"{' ' * margin}{arrow} {escape_text(place.path)}:{place.line}:{place.column}"

@@ -26,7 +26,7 @@ class Ignore:
 
 
 def find_ignores(source: Source) -> Iterator[Ignore]:
-    """The comments of a program or a scene that ignore something. One inside quotes is text."""
+    """Return the comments of a program or a scene that ignore warnings. A `#` inside quotes begins no comment."""
     for match in _COMMENT.finditer(source.text):
         number = source.line_column(match.start(1))[0]
         prefix = source.text[: match.start(1)].rpartition("\n")[2]
@@ -42,7 +42,7 @@ def find_ignores(source: Source) -> Iterator[Ignore]:
 
 
 def _next_code_line(source: Source, number: int) -> int:
-    """The next line that has more than a comment."""
+    """Return the next line that contains more than a comment."""
     last = source.line_column(len(source.text))[0]
     while number < last:
         number += 1

@@ -105,7 +105,7 @@ class Report:
             self.diagnostics.append(diagnostic)
 
     def answer(self, diagnostics: Iterable[Diagnostic]) -> None:
-        """Drop these warnings from the report, also if they are added later."""
+        """Drop warnings from the report, also if they are added later."""
         warnings = list(diagnostics)
         keys = {_diagnostic_key(d) for d in warnings}
         self.answered += warnings

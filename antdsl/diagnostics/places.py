@@ -1,4 +1,4 @@
-"""What renderers share: text made safe to show, and lines and columns of a span."""
+"""Functions that all renderers use: texts without control characters, and the lines and columns of a span."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _UNSAFE = re.compile("[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028\u2029\u202a-\u202e\
 
 
 def escape_text(text: str) -> str:
-    """The text with every control character written out, such as `\\x1b`."""
+    """Return the text with every control character escaped, such as `\\x1b`."""
     return _UNSAFE.sub(lambda match: _escape_character(match.group()), text)
 
 
 def escape_line(text: str) -> str:
-    """Return the same for a line of source: each tab becomes one space, so that columns stay correct."""
+    """Return a source line with control characters escaped. A tab becomes one space, so that columns stay correct."""
     return escape_text(text.replace("\t", " "))
 
 
@@ -28,7 +28,7 @@ def _escape_character(character: str) -> str:
 
 
 def width(text: str) -> int:
-    """How many places of a terminal a text takes."""
+    """Return how many terminal columns a text takes."""
     return sum(2 if unicodedata.east_asian_width(c) in "WF" else 0 if unicodedata.combining(c) else 1 for c in text)
 
 

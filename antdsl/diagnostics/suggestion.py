@@ -1,4 +1,4 @@
-"""The known name that is most like an unknown one: the words behind `did you mean …`."""
+"""Finds the known name that is most similar to an unknown one, for `did you mean …`."""
 
 from __future__ import annotations
 

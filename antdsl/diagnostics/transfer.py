@@ -1,4 +1,4 @@
-"""Reports as JSON, for another process: each text once, and every place as the number of its text with two offsets."""
+"""Encodes reports as JSON for another process. Each text is stored once; a location is the index of its text with two offsets."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ def explain_agents(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]
 
 
 def locate_explanations(replay: Replay, frame: int, agents: Sequence[tuple[str, int]]) -> list[LocatedExplanation | None]:
-    """As `explain_agents`, with the places."""
+    """Return explanations as `explain_agents` does, with positions."""
 
     def look(world: World, population: Population, trace: Trace) -> tuple[Trace, LocatedExplanation]:
         return trace, LocatedExplanation(_build_explanation(replay, frame, world, population, trace), *_positions(trace))
@@ -113,8 +113,8 @@ def _build_explanation(replay: Replay, frame: int, world: World, population: Pop
 
 
 def _active_sites(species: Species, machines: Sequence[MachineStep]) -> tuple[str, ...]:
-    """Return the code sites that run for this agent in this step. These are the bodies of its current states, or the default
-    where none of them has a `steer` line; and the layers' `face` lines."""
+    """Return the code sites that run for this agent in this step: the bodies of its current states, their `enter` blocks after a
+    change, and the layers' `face` lines. If no current state steers, the default site is added."""
     sites = [f"{species.name}.{m.machine}.{m.after}#" for m in machines]
     sites += [f"{species.name}.{m.machine}.{m.after}.enter#" for m in machines if m.changed]
     sites.append(f"{species.name}.layers.face#")
@@ -128,7 +128,7 @@ def _active_sites(species: Species, machines: Sequence[MachineStep]) -> tuple[st
 
 
 def _with_effects(replay: Replay, world: World, trace: Trace, explanation: Explanation) -> Explanation:
-    """Return the explanation with the results of the step; an agent that died in the step has no more."""
+    """Return the explanation with the results of the step. An agent that died in the step has no results."""
     population = world.populations[explanation.species]
     row = int(population.rows_of(np.array([explanation.agent]))[0])
     if row < 0:

@@ -125,5 +125,5 @@ def _describe_request(row: Effect, entry: RequestEntry) -> str:
         for name, arg in args.items()
     }
     return fill_template(
-        row.trace, {**values, "of": entry.request.of, "own": entry.request.own, "whom": entry.request.target_species}
+        row.trace, {**values, "of": entry.request.of, "own": entry.request.own, "receiver": entry.request.target_species}
     )

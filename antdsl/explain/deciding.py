@@ -84,7 +84,7 @@ def _claim(world: World, population: Population, won: ChangeNote, trace: Trace) 
 
 
 def _claim_draw(world: World, population: Population, entry: ClaimEntry, row: int) -> float:
-    """Return the random draw, from 0 to 1, that sets the order in which its claim is served."""
+    """Return the random draw, from 0 to 1, that sets the order in which the agent's claim is served."""
     ids = population.ids[row : row + 1]
     words = randomness.words(world.setting.seed, world.frame, population.name, entry.statement.site, 0, ids)
     return float(words[0][0]) / float(np.uint64(1) << np.uint64(32))

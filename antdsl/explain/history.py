@@ -1,6 +1,6 @@
-"""What a step can be done again from: a run with checkpoints. A cache is one, a session under way has others.
+"""Runs with checkpoints, from which a step can be repeated: a cache, or a session that is running.
 
-A cache leads back to the shot that it was made from: its scene is found, with the texts of then, or it is refused."""
+A cache names the shot that it was made from. Its scene is found, with the texts of that time, or the cache is an error."""
 
 from __future__ import annotations
 

@@ -22,8 +22,8 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """A part of a condition: `value` in `unit`, `shown` as one would write it. `role`: draw or bar of a `chance`; joined, if it
-    is only its parts with `and`, `<` and the like between them; else empty."""
+    """A part of a condition. `value` is in `unit`; `shown` is the value in the author's spelling. `role`: draw or bar of a
+    `chance`, joined, or empty. A joined part has only its inner parts with `and`, `<` and similar signs between them."""
 
     text: str
     value: Value
@@ -35,8 +35,8 @@ class Part:
 
 @dataclass(frozen=True, slots=True)
 class Timer:
-    """A timer: `what` is held (in steps), after or at least (in seconds in the state). Has the elapsed and the required
-    amount."""
+    """A timer with its elapsed and required amount. `what`: held (in steps), after, or at least (both in seconds in the
+    state)."""
 
     what: str
     has: float
@@ -47,8 +47,8 @@ class Timer:
 
 @dataclass(frozen=True, slots=True)
 class TransitionAccount:
-    """A transition that was checked. `kind`: interrupt, from any, when. `held`: whether its condition was true; `fires`: whether
-    its condition and timers were."""
+    """A transition that was checked. `kind`: interrupt, from any, when. `held`: whether its condition was true. `fires`: whether
+    its condition and its timers were true."""
 
     place: Place
     kind: str
@@ -63,8 +63,8 @@ class TransitionAccount:
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A claim of an agent to an item or a field, and whether it succeeded. Claims with smaller draws come first. `amount` None is
-    all. For a field, `items` and `item` are its name, and `attribute` may be empty."""
+    """A claim of an agent to an item or a field, and whether it succeeded. Claims with smaller draws are served first. An
+    `amount` of None means all. For a field, `items` and `item` are its name, and `attribute` may be empty."""
 
     items: str
     item: str
@@ -127,7 +127,7 @@ class Steer:
 
 @dataclass(frozen=True, slots=True)
 class NearObject:
-    """Another agent or an item that was considered: id or name, distance in mm, its state or its amounts."""
+    """Another agent or an item near the agent: its id or name, its distance in mm, and its state or amounts."""
 
     name: str
     distance: float
@@ -136,7 +136,7 @@ class NearObject:
 
 @dataclass(frozen=True, slots=True)
 class ObservedSet:
-    """The content of a set: `asked` is its text, `count` its size, `nearest` the nearest members."""
+    """The content of a set: its text in the program, its size `count`, and its `nearest` members."""
 
     asked: str
     of: str
@@ -178,7 +178,7 @@ class ChangedValue:
 
 @dataclass(frozen=True, slots=True)
 class Stretch:
-    """A state of a machine over frames, both included."""
+    """A state of a machine over a range of frames; both ends are included."""
 
     machine: str
     state: str

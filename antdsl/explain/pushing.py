@@ -1,4 +1,5 @@
-"""The result of each layer: its wish, the strength left for it, and what was cut. The sums are those of the step, in float32."""
+"""The result of each layer: its wish, the strength left for it, and the part that was cut. Sums are computed in float32, as in
+the step."""
 
 from __future__ import annotations
 
@@ -47,7 +48,7 @@ def _grant_push(mode: str, push: Push, size: np.float32, left: np.float32) -> Pu
 
 
 def length(push: Push) -> np.float32:
-    """The length of a vector, in the order of operations of the plan."""
+    """Return the length of a vector, computed in the plan's order of operations."""
     x, y, z = push
     size: np.float32 = np.sqrt((x * x + y * y) + z * z)
     return size

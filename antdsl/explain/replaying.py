@@ -29,9 +29,9 @@ Look = Callable[[World, Population, Trace], T]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Step(Generic[T]):
-    """A repeated step. `results`: the result from each agent's trace; None for an agent that did not live when the step began, or
-    was in quarantine. `end_world` and `hash`: the world at its end, which the next step changes. `checkpoint`: the frame it was
-    continued from."""
+    """A repeated step. `results`: the result of `look` for each agent; None for an agent that did not live at the start or was in
+    quarantine. `end_world` and `hash`: the world at its end, which the next step changes. `checkpoint`: the frame from which the
+    run was continued."""
 
     results: tuple[T | None, ...]
     end_world: World
@@ -62,7 +62,7 @@ class Replay:
         return hoist(noted, self.became)
 
     def restore_before(self, frame: int) -> World:
-        """Return the world at the start of the step to a frame: at the frame before."""
+        """Return the world at the start of the step to a frame, which is its state at the frame before."""
         world = self._world
         if world is None or not self._checkpoint <= world.frame <= frame - 1 or self._has_nearer_checkpoint(world.frame, frame):
             world = self._restore_checkpoint(frame - 1)
@@ -75,8 +75,8 @@ class Replay:
         return world
 
     def step(self, frame: int, agents: Sequence[tuple[str, int]], look: Look[T]) -> Step[T]:
-        """Repeat the step to a frame, tracing agents given by species and id. `look` receives each agent's trace while others,
-        items and fields are in their state at the start of the step."""
+        """Repeat the step to a frame and trace the agents, given by species and id. `look` receives each agent's trace while
+        other agents, items and fields are in their state at the start of the step."""
         world = self.restore_before(frame)
         self.history.apply_interventions(world)
         self._world = None  # until the step is whole

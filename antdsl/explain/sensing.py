@@ -1,4 +1,4 @@
-"""What an agent sensed in a step: others and items near it, fields at its position, rays, curves, flows, draws."""
+"""The senses of an agent in a step: other agents and items near it, fields at its position, rays, curves, flows and draws."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _read_sense(node: Node, value: Any) -> Iterator[Sense]:
 
 
 def _describe_sense(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
-    """Return what a sense found, in the words of its row; without such words, the numbers."""
+    """Return the result of a sense as text, by the template in its row; without a template, as numbers."""
     if row.nothing and not values[0]:
         return row.nothing
     if row.trace:
@@ -81,7 +81,7 @@ def _describe_sense(row: rows.Sense, values: tuple[bool | float, ...]) -> str:
 
 
 def random_draws(trace: Trace) -> tuple[Draw, ...]:
-    """The random numbers, by site."""
+    """Return the random numbers by site."""
     drawn_numbers = []
     for node, value in trace.draws.items():
         index = node.attrs[1] if node.op == "draw" else 0

@@ -11,8 +11,8 @@ _NAMES = frozenset(("id", "state", "species"))
 
 
 def state_timeline(cache: Cache, species: str, agent: int) -> tuple[tuple[Stretch, ...], tuple[int, int] | None]:
-    """Return its states of the first machine as consecutive stretches, and the first and last frame in which it lives; None if no
-    frame has it.
+    """Return the agent's states of the first machine as consecutive stretches, and the first and last frame in which it lives.
+    None if it is in no frame.
 
     If the cache stores no states, each stretch has an empty state. Raises CacheError if a frame is damaged."""
     names = [entry.name for entry in cache.manifest.species]

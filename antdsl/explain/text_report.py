@@ -1,4 +1,4 @@
-"""An explanation as text for people: one block after the other, decisions first."""
+"""Formats an explanation as text for people, in blocks; decisions are first."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _DRAWS = 40
 
 
 def tell(e: Explanation) -> str:
-    """All of it, as lines."""
+    """Return the complete explanation as lines of text."""
     return "\n".join(_report_lines(e)) + "\n"
 
 
@@ -48,7 +48,7 @@ def _format_place(place: Place) -> str:
 
 
 def _timeline_lines(timeline: tuple[Stretch, ...], frame: int, name: str) -> Iterator[str]:
-    """States over frames, the one of this frame in brackets."""
+    """Yield the states over frames, with the state of this frame in brackets."""
     at = next((k for k, s in enumerate(timeline) if s.first <= frame <= s.last), len(timeline) - 1)
     first = max(0, min(at - _STRETCHES // 2, len(timeline) - _STRETCHES))
     part = timeline[first : first + _STRETCHES]

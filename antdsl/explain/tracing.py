@@ -38,7 +38,7 @@ class Trace:
 
 
 class TracedAgent(AgentRun):
-    """An agent that records the values of notes at the time they count."""
+    """An agent that records the values of notes when they take effect."""
 
     def __init__(
         self,
@@ -55,7 +55,7 @@ class TracedAgent(AgentRun):
         self.trace = Trace(row, {name: array[0] for name, array in now.items()}, {})
 
     def run_all(self) -> Trace:
-        """Run the blocks of a step in order; claims have the results that the world has settled."""
+        """Run the blocks of a step in order. Claims have the results that the world has resolved."""
         for block in BLOCKS:
             self.run(block, self.plan)
             if block == "decide":
@@ -90,7 +90,7 @@ class TracedAgent(AgentRun):
         return self.trace.sets[node]
 
     def _collect(self, block: str) -> None:
-        """Record only what has been computed: a layer that got no strength sensed nothing."""
+        """Record only computed values: a layer without strength computed no senses."""
         for node, value in self.values.items():
             if node.op in SENSES:
                 self.trace.senses[node] = value
@@ -113,7 +113,7 @@ class TracedAgent(AgentRun):
 def trace_agent(
     world: World, population: Population, plan: ir.SpeciesPlan, row: int, notes: Notes, became: Mapping[ir.Node, ir.Node]
 ) -> Trace:
-    """Return what the agent of a row does in the current step, after its blocks have run and before its effects have.
+    """Return the trace of the agent in a row: its current step after its blocks and before its effects.
 
     `plan` and `notes` come from lowering the same program again, with notes. `became` maps noted nodes to their replacements."""
     now = {}
@@ -127,21 +127,21 @@ def trace_agent(
 
 
 def part_nodes(note: PartNote | None) -> list[ir.Node]:
-    """All nodes of a noted part."""
+    """Return all nodes of a noted part."""
     if note is None:
         return []
     return [*note.nodes, *(node for part in note.parts for node in part_nodes(part))]
 
 
 def change_nodes(note: ChangeNote) -> list[ir.Node]:
-    """All nodes of a noted transition."""
+    """Return all nodes of a noted transition."""
     timers = [node for timer in note.timers for node in (timer.has, timer.needs, timer.holds)]
     own = [note.fires] if note.holds is None else [note.fires, note.holds]
     return [*own, *timers, *part_nodes(note.condition), *part_nodes(note.take)]
 
 
 def layer_nodes(note: LayerNote) -> list[ir.Node]:
-    """All nodes of a noted layer."""
+    """Return all nodes of a noted layer."""
     return [note.left, note.looked, note.holds, *note.push, *part_nodes(note.condition)]
 
 
@@ -153,6 +153,6 @@ def act_nodes(notes: Notes) -> list[ir.Node]:
 
 
 def note_nodes(notes: Notes) -> list[ir.Node]:
-    """All nodes that are noted of a species."""
+    """Return all nodes with notes in a species."""
     changes = [node for note in notes.changes for node in change_nodes(note)]
     return [*changes, *act_nodes(notes), *(node for note in notes.layers for node in layer_nodes(note))]

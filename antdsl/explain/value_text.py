@@ -21,7 +21,7 @@ _LONG = 160
 
 
 def place(span: Span, text: str | None = None) -> Place:
-    """Where a stretch of text stands; long text is cut."""
+    """Return the location and text of a span; long text is cut."""
     line = " ".join((text or span.text).split())
     return Place(
         line if len(line) <= _LONG else line[: _LONG - 1] + "…", span.source.path, span.source.line_column(span.start)[0]
@@ -34,7 +34,7 @@ def triple(parts: Any) -> Triple:
 
 
 def condition_part(world: World, note: PartNote | None, values: Values) -> Part | None:
-    """A noted part with what it was worth."""
+    """Return a noted part with its value."""
     if note is None or any(node not in values for node in note.nodes):
         return None
     inner = tuple(inner_part for each in note.parts if (inner_part := condition_part(world, each, values)) is not None)
@@ -72,7 +72,7 @@ def plain_value(world: World, raw: Any, type: Type, unit: str) -> Value:
 
 
 def in_unit(world: World, raw: Any, unit: str) -> float:
-    """A number of base units in a unit."""
+    """Convert a number in base units to a unit."""
     known = measure(unit) if unit else None
     return float(raw) if known is None else float(raw) / (known.factor * world.setting.unit_mm**known.u * world.dt**known.step)
 

@@ -1,6 +1,6 @@
-"""Points on triangles, near enough to each other for what is worked out in them: each face cut into n · n like ones, n a power
-of two; and how finely a flow is worked out. What lies between the points is found from a footing by one look into a table,
-without a search."""
+"""Points on triangles at which fields and flows are computed: each face is cut into n · n equal triangles, n a power of two.
+
+Also decides how fine the points of a flow are. A footing finds the points around it by one table look-up, without a search."""
 
 from __future__ import annotations
 

@@ -1,11 +1,10 @@
-"""Charts → places: states in layers, arrows with right angles, no words on top of anything.
+"""Charts → positions: states in layers, arrows with right angles, no label on top of anything.
 
-The layout is made by the library graphlay, a layered one (Sugiyama, Tagawa, Toda 1981) that leaves room for words and gives
-the same places on every machine. Words go on their own line or beside it, clear of boxes, of other words, of lines if it can
-be.
+The library graphlay makes the layout, a layered one (Sugiyama, Tagawa, Toda 1981). It leaves space for labels and gives the same
+positions on every machine. A label is on its own arrow or next to it, clear of boxes, of other labels, and of lines if possible.
 
-Every arrow has places where its words could stand; the arrows with the fewest choose first, and then all choose again in turn
-until nobody finds a better one (a local search in the discrete placement of labels, Christensen, Marks, Shieber 1995)."""
+Every arrow has possible positions for its label. The arrows with the fewest choose first, and then all choose again in turn
+until no arrow finds a better one (a local search in the discrete placement of labels, Christensen, Marks, Shieber 1995)."""
 
 from __future__ import annotations
 

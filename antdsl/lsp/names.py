@@ -1,4 +1,4 @@
-"""The names that a file declares, and each name in it with its meaning: the checker's bindings, applied to the tree."""
+"""The names that a file declares, and each use of a name with its meaning: the checker's bindings, applied to the tree."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _CALLED = frozenset({*BUILTINS, *REDUCERS, *WHOLES, "at_start"})
 
 @dataclass(frozen=True, slots=True)
 class Occurrence:
-    """A name in the text. Where one word has two meanings at once, as in `take 1 load from meal`, there are two."""
+    """A name in the text. A word with two meanings, as in `take 1 load from meal`, has two occurrences."""
 
     span: Span
     key: Key
@@ -62,7 +62,7 @@ class Names:
 
 
 def names_of(path: Path, file: nodes.File) -> Names:
-    """The tables of a file. Where a name is declared twice the first counts, as for the checker."""
+    """Return the tables of a file. If a name is declared twice, the first declaration counts, as for the checker."""
     names = Names(path, file)
     for each in declarations(file):
         names.declared.setdefault(each.key, each)

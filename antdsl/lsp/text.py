@@ -43,7 +43,7 @@ class Text:
         self.starts = starts
 
     def line(self, number: int) -> str:
-        """A line counted from 0, without its end; empty beyond the last."""
+        """Return a line by its number, counted from 0, without its end; empty beyond the last line."""
         if not 0 <= number < len(self.starts):
             return ""
         end = self.starts[number + 1] - 1 if number + 1 < len(self.starts) else len(self.text)
@@ -74,7 +74,7 @@ class Text:
         return self.place(start), self.place(max(start, end))
 
     def units(self, text: str) -> int:
-        """How many columns a text takes."""
+        """Return how many columns a text takes in the editor."""
         return len(text) if text.isascii() else sum(map(self._units, text))
 
     def _units(self, character: str) -> int:
@@ -83,11 +83,11 @@ class Text:
         return 2 if self.encoding == "utf-16" and character > "\uffff" else 1
 
     def with_text(self, text: str) -> Text:
-        """Another text, in the same encoding."""
+        """Return another text with the same encoding."""
         return Text(normalise_line_ends(text), self.encoding)
 
     def edited(self, start: Place, end: Place, text: str) -> Text:
-        """The text with a stretch of it replaced."""
+        """Return the text with a range replaced."""
         first, last = self.offset(*start), self.offset(*end)
         return Text(self.text[:first] + normalise_line_ends(text) + self.text[max(first, last) :], self.encoding)
 

@@ -80,13 +80,13 @@ class Document:
 
     @cached_property
     def used_files(self) -> list[Path]:
-        """The files behind `use "PATH"`."""
+        """Return the files that the program uses by `use "PATH"`."""
         written = (item.path for item in self.parsed[0].items if isinstance(item, nodes.Use))
         return [real_path(self.path.parent.joinpath(path.text)) for path in written if path is not None]
 
     @property
     def index(self) -> Index:
-        """Every name in the document; built again where a check of it gave other bindings."""
+        """Return the index of the document's names. It is built again if a new check gave other bindings."""
         bindings = self.resolve(self.path) if self.is_program else NO_BINDINGS
         if self._index is None or self._index[0] is not bindings:
             name_occurrences = occurrences(self.names, bindings) if self.is_program else self.scene.occurrences
@@ -130,7 +130,7 @@ class Document:
         return sorted(name_occurrences, key=lambda each: self.end(each.span) == offset)
 
     def word_at(self, offset: int) -> tuple[int, int]:
-        """Where the word at an offset begins and ends."""
+        """Return the start and end offsets of the word at an offset."""
         text, start, end = self.text.text, offset, offset
         while start > 0 and (text[start - 1].isalnum() or text[start - 1] == "_"):
             start -= 1
@@ -164,7 +164,7 @@ class Workspace:
     # --- documents ---
 
     def put(self, path: Path, text: str, version: int | None = None) -> Document:
-        """An open buffer, new or changed."""
+        """Add an open buffer, or replace its text."""
         document = self.open[path] = Document(path, Text(normalise_line_ends(text), self.encoding), self.bindings, None, version)
         return document
 
@@ -201,7 +201,7 @@ class Workspace:
         return known
 
     def span_of(self, span: Span) -> tuple[Document, Range] | None:
-        """The document that a span lies in, and where."""
+        """Return the document that contains a span, and the span's location in it."""
         for document in (*self.open.values(), *self._disk.values()):
             if document.is_program and "parsed" in document.__dict__:
                 file = document.parsed[0]
@@ -270,8 +270,8 @@ class Workspace:
         return CheckResult(program, scene, report)
 
     def complaints(self, path: Path) -> list[Diagnostic]:
-        """Return the findings in this very document; one about all of it has no span. A YAML file that is no scene has none:
-        editors send every one."""
+        """Return the findings in this document; a finding about the complete document has no span. A YAML file that is not a
+        scene has no findings, because editors send every YAML file."""
         document = self.document(path)
         if document is not None and not document.is_program and not _SCENE.search(document.text.text):
             return []
@@ -287,7 +287,7 @@ class Workspace:
     # --- which files belong together ---
 
     def linked_files(self, path: Path) -> list[Path]:
-        """Return a file, the files that it names, and the files that those name."""
+        """Return a file, the files that it names, and the files that these files name."""
         paths: dict[Path, None] = {}
         stack = [path]
         while stack:
@@ -324,7 +324,7 @@ class Workspace:
         return [path, *sorted(others - {path})]
 
     def scenes_of(self, path: Path) -> list[Path]:
-        """Open scenes that use a program, or extend a scene."""
+        """Return the open scenes that use a program or extend a scene."""
         return [each for each in self.open if each != path and path in self.linked_files(each)]
 
     def files(self) -> list[Path]:
@@ -340,5 +340,5 @@ class Workspace:
         return list(dict.fromkeys([*self.open, *self._searched[1]]))
 
     def search_again(self) -> None:
-        """Files may have come or gone."""
+        """Mark the file lists as outdated, because files may have been added or removed."""
         self._searched = (0.0, [])

@@ -31,14 +31,14 @@ def _x86(module: Module) -> tuple[str, str]:
     module.declare("llvm.x86.sse.stmxcsr", "void", [PTR])
     module.declare("llvm.x86.sse.ldmxcsr", "void", [PTR])
     prologue = (
-        f"  %kept = alloca {I32}\n  %usual = alloca {I32}\n  store {I32} {_USUAL}, ptr %usual\n"
-        "  call void @llvm.x86.sse.stmxcsr(ptr %kept)\n  call void @llvm.x86.sse.ldmxcsr(ptr %usual)\n"
+        f"  %saved = alloca {I32}\n  %usual = alloca {I32}\n  store {I32} {_USUAL}, ptr %usual\n"
+        "  call void @llvm.x86.sse.stmxcsr(ptr %saved)\n  call void @llvm.x86.sse.ldmxcsr(ptr %usual)\n"
     )
-    return prologue, "  call void @llvm.x86.sse.ldmxcsr(ptr %kept)\n"
+    return prologue, "  call void @llvm.x86.sse.ldmxcsr(ptr %saved)\n"
 
 
 def _arm(module: Module) -> tuple[str, str]:
     module.declare("llvm.aarch64.get.fpcr", I64, [])
     module.declare("llvm.aarch64.set.fpcr", "void", [I64])
-    prologue = f"  %kept = call {I64} @llvm.aarch64.get.fpcr()\n  call void @llvm.aarch64.set.fpcr({I64} 0)\n"
-    return prologue, f"  call void @llvm.aarch64.set.fpcr({I64} %kept)\n"
+    prologue = f"  %saved = call {I64} @llvm.aarch64.get.fpcr()\n  call void @llvm.aarch64.set.fpcr({I64} 0)\n"
+    return prologue, f"  call void @llvm.aarch64.set.fpcr({I64} %saved)\n"

@@ -139,13 +139,13 @@ def text(target: machine.Target) -> str:
         kind = first[1]
         lines.append(f"  br label %{label}\n{label}:")
         lines.append(f"  %{label}.at = phi i64 [ {first[0]}, %{previous} ], [ %{label}.next, %{label}.turn ]")
-        lines.append(f"  %{label}.kept = phi {kind} [ {first[2]}, %{previous} ], [ %{label}.then, %{label}.turn ]")
+        lines.append(f"  %{label}.state = phi {kind} [ {first[2]}, %{previous} ], [ %{label}.then, %{label}.turn ]")
         lines.append(f"  %{label}.next = add i64 %{label}.at, {step}")
         lines.append(f"  %{label}.more = icmp sle i64 %{label}.next, {length}")
         lines.append(f"  br i1 %{label}.more, label %{label}.turn, label %{label}.end\n{label}.turn:")
-        accumulator = turn(f"%{label}.kept", put(f"getelementptr i8, ptr {place}, i64 %{label}.at"))
+        accumulator = turn(f"%{label}.state", put(f"getelementptr i8, ptr {place}, i64 %{label}.at"))
         lines.append(f"  %{label}.then = bitcast {kind} {accumulator} to {kind}\n  br label %{label}\n{label}.end:")
-        return f"%{label}.at", f"%{label}.kept"
+        return f"%{label}.at", f"%{label}.state"
 
     def with_byte(state: str, byte: str) -> str:
         wide = put(f"zext i8 {byte} to i32")
@@ -162,7 +162,7 @@ def text(target: machine.Target) -> str:
     first = [loaded(place, register) for register in range(_REGISTERS)]
     first[0] = put(f"xor {wide} {first[0]}, {put(f'insertelement {wide} zeroinitializer, i64 {words[1]}, i64 0')}")
     lines.append("  br label %head\nhead:")
-    remainder = [f"%kept{register}" for register in range(_REGISTERS)]
+    remainder = [f"%remainder{register}" for register in range(_REGISTERS)]
     lines.append("  %done = phi i64 [ 1, %inside ], [ %next, %turn ]")
     lines += [f"  {remainder[k]} = phi {wide} [ {first[k]}, %inside ], [ %then{k}, %turn ]" for k in range(_REGISTERS)]
     lines.append(f"  %more = icmp slt i64 %done, {words[0]}\n  br i1 %more, label %turn, label %last\nturn:")

@@ -1,7 +1,7 @@
-"""Draws frames of a cache as they were asked for, each by itself: the same picture whichever frames are drawn before it.
+"""Draws the requested frames of a cache, each independently: a picture does not depend on the frames that are drawn before it.
 
-A still in a folder is put in its place whole, with a hash of all that it was drawn from, so that one that is there already
-need not be drawn again."""
+A still is written atomically, with a hash of everything that it was drawn from. A still that is in the folder already is not
+drawn again."""
 
 from __future__ import annotations
 

@@ -1,6 +1,7 @@
-"""A cache changed after the run, as a cache of its own: the one that was read stays as it is.
+"""Changes a cache after the run and writes the result as a separate cache: the original stays as it is.
 
-Orientations are smoothed over the frames before and after: what a run could not do, which never knows the next frame (R10)."""
+Orientations are smoothed over the frames before and after. A run cannot do this, because it does not know the next frame
+(R10)."""
 
 from __future__ import annotations
 

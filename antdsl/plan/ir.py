@@ -265,10 +265,10 @@ Statement = If | Store | Claim | Give | Request
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Register:
-    """A value per agent. role: attribute (the author's or given), memory (keep, latch, held, machines' bookkeeping), pair (a slot
-    of a value per pair: `registers`), temp (this step only, starts each step at `zero`). All but temp are kept from step to step
-    and hashed. `holds` is the type behind it, where the language has one: what an edited program declares under this name is the
-    same value only if that is the same."""
+    """A value per agent. role: attribute (the author's or built in), memory (keep, latch, held, state of machines), pair (a slot of
+    a value per pair: `registers`), temp (this step only, starts each step at `zero`). All but temp are stored from step to step and
+    hashed. `holds`: the type of the language, if it has one. A reload retains the value only if the edited program declares the
+    name with the same type."""
 
     name: str
     kind: Kind

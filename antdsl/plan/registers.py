@@ -1,8 +1,8 @@
-"""Registers of agents: the names of those for values per pair, a slot of an id and a value for each other that an agent keeps
-one about; how many bytes they take; and when a block reads them.
+"""Registers of agents: the names of registers for values per pair, their size in bytes, and when a block reads them.
 
-A `load` is evaluated where it is first asked for. Where one stands both before and after a store to its register, in regions
-that do not share a value, it has to be read before the region that they have in common; `early_loads` says which and where."""
+Values per pair have slots, each with the id of another agent and the value that is stored about it.
+A `load` is evaluated at its first use. If one is used both before and after a store to its register, in regions that do not share
+a value, it is read before the region that contains both; `early_loads` returns which and where."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Events, deaths and births: what agents do to the number of agents and to each other's next step.
+"""Events, deaths and births: they change the number of agents, and the next step of other agents.
 
-What agents emitted is kept for whoever writes it down: no state, and nothing in a step reads it."""
+Emitted events are stored for outputs such as caches. They are not part of the state, and no step reads them."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""The neighbourhood of an agent in the plane of its own ground, for the velocity that avoids all others and for the widest gap;
-and the cell grids in which neighbours are searched."""
+"""The neighbourhood of an agent in the tangent plane of its ground: for the velocity that avoids all neighbours, and for the
+widest gap; and the cell grids that find neighbours."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""What a run must show: the specs of programs run headless, judged frame by frame, and told to people and build servers.
+"""Runs the specs of programs without a display, judges them frame by frame, and reports to people and build servers.
 
-`cases` says which specs run on which scenes and seeds; `running` simulates each combination once for all its specs and has
-`judge` look at every frame: `queries` asks agents and items, `aggregates` the wholes. `cases` decides what holds, too;
-`text_report` and `reports` say it. `golden` holds runs against recorded ones."""
+`cases` combines specs with scenes and seeds and decides which specs hold. `running` simulates each combination once for all its
+specs, and `judge` evaluates every frame: `queries` reads values of agents and items, `aggregates` sums and means of all agents.
+`text_report` and `reports` write the results. `golden` compares runs with recorded ones."""
 
 from antdsl.specs.cases import Case, Failure, Run, collect_cases
 from antdsl.specs.running import Work, run_cases

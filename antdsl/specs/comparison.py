@@ -1,4 +1,5 @@
-"""The run that a spec compares with. It runs first, with the same seed, and stores from each frame what the comparison needs."""
+"""The reference run of a spec that compares two runs. It runs first, with the same seed, and stores the values that the
+comparison needs from each frame."""
 
 from __future__ import annotations
 
@@ -17,8 +18,8 @@ Place = tuple[str, int]
 
 
 class ComparedRun:
-    """The other run of a comparison. Call `look` at each of its frames, from the first on. Frames are counted from there, so that
-    two scenes may have different numbers. `dt`: seconds per frame."""
+    """The reference run of a comparison. Call `look` at each of its frames, from the first on. Frames are counted from the first,
+    so the two scenes may have different frame numbers. `dt`: seconds per frame."""
 
     def __init__(self, plan: SpecPlan, world: World) -> None:
         self.asker = Questioner(plan, world)

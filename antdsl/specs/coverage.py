@@ -47,7 +47,7 @@ class Coverage:
         return sum(each.count > 0 for each in all) / len(all) if all else 1.0
 
     def watch(self, world: World, program: Program) -> None:
-        """Count in this world, including its current frame."""
+        """Count states in this world, including its current frame."""
         machines = [self._machine(s.name, m) for s in program.species.values() for m in s.machines]
         for machine in machines:
             states = world.populations[machine.species].now.get(f"{machine.name}.state")

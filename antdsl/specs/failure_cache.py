@@ -61,7 +61,7 @@ class StateCopies:
             self.last = checkpoint(world)
 
     def failure_point(self, world: World) -> FailurePoint:
-        """What is needed to come to this frame again."""
+        """Return the data that is needed to simulate this frame again."""
         return FailurePoint(world.frame, state_hash(world), checkpoint(world) if self.last is None else self.last)
 
 
@@ -134,7 +134,7 @@ def folder_name(name: str) -> str:
 
 
 def _flag_value(shot: Shot, value: Expr) -> str:
-    """Return a changed value as `--set` takes it: as in the source, or its number with a unit if it was computed."""
+    """Return a changed value in the form that `--set` accepts: as in the source, or a computed number with its unit."""
     text = "".join(value.span.text.split())
     try:
         parse_quantity(text)

@@ -1,4 +1,4 @@
-"""One spec over a run: it looks at the world frame by frame, stores what it needs, and reports what was not as expected."""
+"""Judges one spec over a run: evaluates the world frame by frame, stores what the spec needs, and reports failures."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _NUMBER = re.compile(NUMBER)
 
 
 class Judge:
-    """`look` at each frame from the first on, until `over`. `failures`: in order of detection. `rival`: the reference run that
-    the spec compares with."""
+    """Call `look` for each frame from the first on, until `over`. `failures` are in order of detection. A spec that compares runs
+    also has the reference run."""
 
     def __init__(self, plan: SpecPlan, world: World, last: int, compared_run: ComparedRun | None = None) -> None:
         self.plan, self.first, self.rival = plan, world.frame, compared_run
@@ -83,7 +83,8 @@ class Judge:
         return free
 
     def _check_race(self, line: Line, observation: Observation) -> Ids:
-        """Judge `sooner`: the condition must hold here in an earlier frame, counted from the first, than in the other run."""
+        """Judge `sooner`: the condition must hold in an earlier frame here than in the other run. Frames are counted from the
+        first of each run."""
         assert self.rival is not None
         holds = bool(len(line.look(observation)))
         when = self.rival.steps_until_held(line.plan)
@@ -137,14 +138,14 @@ class Judge:
 
 
 def last_frame(plan: SpecPlan, world: World, last: int) -> int:
-    """Return the last frame of a spec that begins now: that of the scene, or after the spec's `for`."""
+    """Return the last frame of a spec that begins now: the scene's last frame, or the end of the spec's `for`."""
     steps = duration_in_steps(world, plan.duration)
     return last if steps is None else world.frame + steps
 
 
 def _format_readings(world: World, reading_values: list[tuple[ReadingPlan, Any]], line: str) -> tuple[tuple[str, str], ...]:
-    """Return texts and values. Values have all digits if different values, or a value and a number of the line, would otherwise
-    look alike."""
+    """Return each reading's text in the program and its formatted value. Values have all digits if different values, or a value
+    and a number of the line, would otherwise look alike."""
     texts = [" ".join(reading.span.text.split()) for reading, _ in reading_values]
     values = [format_value(world, value, reading.type, reading.unit) for reading, value in reading_values]
     written = {float(number) for number in _NUMBER.findall(line)}

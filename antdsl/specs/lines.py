@@ -39,7 +39,7 @@ class Observation:
 
 
 def observe_whole(frame: int, final: bool, first: int, holds: bool, since: bool | None) -> Observation:
-    """One frame of a line about the whole."""
+    """Return one frame of a line about the whole."""
     since_flags = None if since is None else np.array([since])
     return Observation(
         frame, final, np.zeros(1, np.int64), np.full(1, first), np.array([holds]), since_flags, np.zeros(1, np.bool_)
@@ -86,7 +86,7 @@ class Line:
         return int(self.pending[agent]) if known and self.pending[agent] != _NEVER else None
 
     def _find_removed(self, observation: Observation, waiting: Truths) -> Ids:
-        """Return the agents that waited before and no longer exist. `waiting`, by row: those that wait now."""
+        """Return the agents that waited before and no longer exist. `waiting`: by row, whether the agent waits now."""
         is_present = np.zeros(max(int(observation.ids.max(initial=-1)), int(self.waiting.max(initial=-1))) + 1, np.bool_)
         is_present[observation.ids] = True
         removed_ids = self.waiting[~is_present[self.waiting]]
@@ -142,7 +142,7 @@ def _eventually(line: Line, observation: Observation) -> Ids:
 
 
 def _has_begun(line: Line, observation: Observation) -> Truths:
-    """Return where `since` holds now and did not in the frame before."""
+    """Return where `since` holds now and did not hold in the frame before."""
     assert observation.since is not None
     line.was, line.pending = extend_table(line.was, observation.ids, False), extend_table(line.pending, observation.ids, _NEVER)
     comes = observation.since & ~line.was[observation.ids]
@@ -151,7 +151,8 @@ def _has_begun(line: Line, observation: Observation) -> Truths:
 
 
 def _since_within(line: Line, observation: Observation) -> Ids:
-    """Also `eventually`. Of several overlapping times, the first one counts: what ends it ends the others."""
+    """Judge `since` with `within` or `eventually`. If several waiting times overlap, the first one counts: when it ends, the
+    others end."""
     comes = _has_begun(line, observation)
     pending: Ids = line.pending[observation.ids]
     pending = np.where(comes & (pending == _NEVER), observation.frame, pending)
@@ -175,7 +176,7 @@ def _since_within(line: Line, observation: Observation) -> Ids:
 
 
 def _since_for(line: Line, observation: Observation) -> Ids:
-    """Of several overlapping times, the last one counts: it ends after the others."""
+    """Judge `since` with `for`. If several times overlap, the last one counts, because it ends after the others."""
     assert line.steps is not None
     comes = _has_begun(line, observation)
     line.pending[observation.ids[comes]] = observation.frame

@@ -21,9 +21,8 @@ FrameCallback = Callable[[Run, int, int], None]
 
 @dataclass(slots=True)
 class Work:
-    """What to find out in addition to the outcomes, and the callbacks: `report_case` for each case, `frame` for the progress of a
-    run. `messages`: sentences for the user on what differed from the request in a run, each once; none of it changes a
-    verdict."""
+    """The work beyond the outcomes, and the callbacks: `report_case` for each case, `frame` for the progress of a run.
+    `messages`: deviations of a run from the request, each once, as sentences for the user; they change no verdict."""
 
     options: Options
     coverage: Coverage = field(default_factory=Coverage)
@@ -106,7 +105,7 @@ def _judge_run(run: Run, work: Work, moments: dict[int, FailurePoint]) -> None:
 
 
 def _make_world(shot: Shot, seed: int, work: Work) -> World:
-    """The world at the first frame."""
+    """Return the world at the first frame."""
     world = bind(shot.plan, replace(shot.setting, seed=seed), work.options, built=work.built)
     work.worlds.append(world)
     if world.faults.reported:
@@ -130,7 +129,7 @@ def _describe_fault(why: FaultStop, where: str) -> Failure:
 
 
 def _run_compared(run: Run, work: Work) -> dict[int, ComparedRun]:
-    """Return the runs that cases compare with, by the case's id. Those of one shot are simulated once. A fault there fails these
+    """Return the reference runs of cases by the case's id. Cases with the same shot share one run. A fault in a run fails its
     cases."""
     compared_runs: dict[int, ComparedRun] = {}
     for shot in {id(case.against.shot): case.against.shot for case in run.cases if case.against is not None}.values():

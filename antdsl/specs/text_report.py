@@ -15,7 +15,7 @@ _MOST_DIFFERENCES = 6
 
 
 def one_line(case: Case) -> str:
-    """`passed  "no crumb is lost", seed 3: 240 frames, 1.2 s`."""
+    """Return a case in one line: `passed  "no crumb is lost", seed 3: 240 frames, 1.2 s`."""
     return f'{case.outcome:<7} "{escape_text(case.name)}", seed {case.seed}: {case.frames} frames, {case.seconds:.1f} s'
 
 
@@ -62,7 +62,7 @@ def _describe_saved(saved: SavedFrames) -> list[str]:
 
 
 def describe_verdict(verdict: Verdict) -> str:
-    """`"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
+    """Return the verdict over seeds: `"ants come home": 4 of 5 seeds passed, enough for 80 %`."""
     ends = {True: "enough for", False: "too few for", None: "not all were run, of"}[verdict.holds]
     share = f"{verdict.spec.share * 100:.6g} %"
     return f'"{escape_text(verdict.spec.name)}": {verdict.passed} of {verdict.cases} seeds passed, {ends} {share}'
@@ -86,7 +86,7 @@ def describe_golden(result: GoldenResult) -> str:
 
 
 def describe_counts(cases: Sequence[Case], mistakes: int, goldens: Sequence[GoldenResult] = ()) -> str:
-    """`5 passed, 1 failed, 2 mistakes in files`."""
+    """Return the counts: `5 passed, 1 failed, 2 mistakes in files`."""
     numbers = {word: sum(case.outcome == word for case in cases) for word in ("passed", "failed", "allowed", "waiting")}
     phrases = [f"{numbers['passed']} passed"]
     phrases += [f"{numbers['failed']} failed"] if numbers["failed"] else []
@@ -109,7 +109,7 @@ def describe_coverage(coverage: Coverage) -> str:
 
 
 def describe_uncovered(coverage: Coverage) -> str:
-    """Return how many states were entered and changes made, and which never were."""
+    """Return how many states and changes occurred, and the names of those that never occurred."""
     lines = []
     for what, verb, table in (("states", "entered", coverage.states), ("changes", "made", coverage.changes)):
         if table:

@@ -31,7 +31,7 @@ def format_value(world: World, value: Any, type: Type, unit: str, is_exact: bool
 
 
 def agent_whereabouts(world: World, species: str, row: int) -> tuple[tuple[str, str], ...]:
-    """Return an agent's states, since when, and its position in the scene's units."""
+    """Return the agent's states, the time since it entered them, and its position in the scene's units."""
     population = world.populations[species]
     entries = []
     for machine in population.plan.machines:

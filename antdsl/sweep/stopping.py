@@ -1,8 +1,7 @@
-"""Which runs are still wanted while results come: a variation is done once its medians are known to the width that was asked
-for.
+"""Decides which runs of a sweep are still needed: a variation is complete once its medians are known to the requested width.
 
-What is looked at is always the first so many seeds of a variation, so which run ends first changes neither when it is done nor
-what the table says of it.
+Each decision uses the first n seeds of a variation. So the order in which runs end changes neither when the variation is complete
+nor its row of the table.
 
 The interval of a median holds whatever the measure's distribution. Of n independent draws in order, the median of what they
 are drawn from lies between the l-th and the l-th from the end with a chance of at least 1 - 2 P(B < l), B the number of heads
@@ -103,7 +102,7 @@ class KnownMedian:
 
 @dataclass(slots=True)
 class JobChooser:
-    """All jobs that may run, seed by seed; `wanted` yields those that are needed. Without widths, all are."""
+    """All jobs that may run, seed by seed; `needed_jobs` yields the needed ones. Without widths, all are needed."""
 
     jobs: Sequence[Job]
     widths: Sequence[WidthGoal] = ()

@@ -1,5 +1,5 @@
-"""What a sweep was asked for: a design and its variations, to be held against what came out. It is kept in the sweep's folder
-as `asked.json`, so that it can go on without being asked again."""
+"""The request of a sweep: a design and its variations, for comparison with the results. The sweep's folder stores it as JSON, so
+that the sweep can be resumed without the original options."""
 
 from __future__ import annotations
 

@@ -1,5 +1,5 @@
-"""Tokens → the same with every bracket in a pair. A missing closing bracket is reported where it was opened, and inserted; a
-surplus one is left out. Line ends inside parentheses disappear."""
+"""Pairs the brackets of tokens. A missing closing bracket is inserted, and reported where the bracket was opened; a surplus one
+is left out. Line ends inside parentheses are removed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def token_text(scan: Scan, token: Token) -> str:
 
 
 class _Parentheses:
-    """Pairs `( )` and `[ ]`. A brace or a `;` ends whatever is open: none can stand inside parentheses."""
+    """Pairs `( )` and `[ ]`. A brace or a `;` closes all open ones, because neither is allowed inside parentheses."""
 
     def __init__(self, scan: Scan) -> None:
         self.scan = scan
@@ -141,7 +141,7 @@ class _Parentheses:
         return True
 
     def is_closed_later(self, index: int, expected_sign: str) -> bool:
-        """Return whether the open bracket has its closing one further on in the line."""
+        """Return whether the closing bracket of the open one follows in the same line."""
         depth = 0
         for token in self.scan.tokens[index + 1 : index + 1 + _LOOKED_AHEAD]:
             text = token_text(self.scan, token) if token.kind in ("open", "close") else ""
@@ -310,7 +310,7 @@ def _report_unclosed(scan: Scan, token: Token, sign: str, at: int) -> None:
 
 
 def _line_indents(tokens: list[Token]) -> list[int]:
-    """For each token how far its line is set in."""
+    """Return for each token the indent of its line."""
     indents, indent = [], 0
     for token in tokens:
         indent = token.indent if token.indent >= 0 else indent

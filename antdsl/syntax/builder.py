@@ -14,7 +14,7 @@ from antdsl.syntax.words import QUANTITY
 
 
 class Token(Protocol):
-    """What the builder needs of a parser's token; `start_pos` and `end_pos` count in the text that was parsed."""
+    """The attributes of a parser's token that the builder uses. `start_pos` and `end_pos` are offsets in the parsed text."""
 
     type: str
     value: str
@@ -23,7 +23,7 @@ class Token(Protocol):
 
 
 class Place(Protocol):
-    """Where the parsed text lies in the source."""
+    """The location of the parsed text in the source."""
 
     def span(self, start: int, end: int) -> Span: ...
 

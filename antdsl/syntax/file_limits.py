@@ -1,5 +1,5 @@
-"""Counts what a file holds, before the costly work of parsing and checking it; and how deep a tree is, without recursion:
-whoever walks a tree afterwards may recurse."""
+"""Counts the elements of a file before it is parsed and checked, which costs more; and measures the depth of a tree without
+recursion, so that later code may walk the tree recursively."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ def count_sizes(scanned: Scan, lines: list[Line]) -> Sizes:
 
 
 def add_sizes(one: Sizes, other: Sizes) -> Sizes:
-    """The sizes of two parts of a file."""
+    """Return the sums of the sizes of two parts of a file."""
     return one[0] + other[0], one[1] + other[1], one[2] + other[2]
 
 
 def is_within(sizes: Sizes) -> bool:
-    """Whether one file may have so much."""
+    """Return whether the sizes are within the limits of one file."""
     words, statements, species = sizes
     return words <= limits.TOKENS and statements <= limits.STATEMENTS and species <= limits.SPECIES
 
 
 def report_too_many(scanned: Scan, lines: list[Line]) -> bool:
-    """Return whether a text has more words, statements or species than allowed, and report it. They are counted before the
-    expensive work."""
+    """Report a text with more words, statements or species than allowed, and return whether it has. They are counted before
+    parsing and checking, which cost more."""
     species = _species_words(scanned, lines)
     statements = [line.tokens[0] for line in _all_lines(lines)]
     counts = ((species, limits.SPECIES, "species"), (statements, limits.STATEMENTS, "statements"))
@@ -49,7 +49,7 @@ def report_too_many(scanned: Scan, lines: list[Line]) -> bool:
 
 
 def _species_words(scanned: Scan, lines: list[Line]) -> list[Token]:
-    """The first word of each species."""
+    """Return the first word of each species."""
     return [line.tokens[0] for line in lines if token_text(scanned, line.tokens[0]) == "species"]
 
 
@@ -62,7 +62,7 @@ def _all_lines(lines: list[Line]) -> Iterator[Line]:
 
 
 def find_too_deep(node: Any) -> Iterator[Span]:
-    """The spans of the nodes that lie deeper than allowed."""
+    """Yield the spans of the nodes that are deeper than allowed."""
     stack: list[tuple[Any, int]] = [(node, 0)]
     while stack:
         part, depth = stack.pop()

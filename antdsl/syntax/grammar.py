@@ -18,7 +18,7 @@ _VERBS = re.compile(r"(?<=\n)ask: .*?(?=// --- end of the verbs)", re.S)
 
 
 def grammar_text() -> str:
-    """The grammar, with a form and a terminal for each verb of the table."""
+    """Return the grammar with a form and a terminal for each verb of the table."""
     rows = [row for row in VERBS.values() if row.shape != "own"]
     forms = "\n    | ".join(f"{row.word.upper()} {SHAPES[row.shape]}".rstrip() for row in rows)
     terminals = "\n".join(f"{row.word.upper()}.1: /{row.word}(?![a-z_0-9])/" for row in rows)

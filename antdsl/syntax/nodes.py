@@ -34,7 +34,7 @@ class Text:
 
 @node
 class Comment:
-    """A `# …` to the end of its line, with the sign."""
+    """A comment from `#` to the end of its line, with the `#`."""
 
     text: str
     span: Span
@@ -97,7 +97,7 @@ class IndexAll:
 
 @node
 class Argument:
-    """One argument. `name` is there for `reach: 3`; the value may be a `RangeExpr`."""
+    """One argument. `name` is set in the form `reach: 3`; the value may be a `RangeExpr`."""
 
     name: Name | None
     value: Expr
@@ -155,7 +155,7 @@ class IsNone:
 
 @node
 class ClipTest:
-    """`clip done` (`name` is that word), or with `at` `clip at MARK`: the clip of the state that the agent is in."""
+    """A test of the clip of the agent's state: `clip done` (`name` is `done`), or `clip at MARK` with `at` true."""
 
     name: Name
     at: bool
@@ -245,7 +245,7 @@ class Steer:
 
 @node
 class Face:
-    """`face e`: turn the body that way."""
+    """`face e`: turn the body towards `e`."""
 
     push: Expr
     span: Span
@@ -291,7 +291,7 @@ Action = Assign | Ask | Give
 
 @node
 class Take:
-    """`amount` None means all. Without an `attribute`, what is taken is removed."""
+    """A line that takes from an item or a field. An `amount` of None means all. Without an `attribute`, the item is removed."""
 
     amount: Expr | None
     attribute: Name | None

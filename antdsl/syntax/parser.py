@@ -91,7 +91,7 @@ def _load_tools() -> tuple[Lark, Builder]:
 
 
 def parse(source: Source) -> tuple[n.File, Report]:
-    """Parse a text. The file has everything that was understood; the report says what was not, and where. Never raises."""
+    """Parse a text. The file has everything that was understood; the report lists the rest with locations. Never raises."""
     report = Report()
     other = _other_language(source.text)
     if other is not None:
@@ -249,7 +249,7 @@ class _Parsing:
                 insort(self.scan.faults, line.start)
 
     def at_error_limit(self) -> bool:
-        """Return whether there are so many errors that further ones are of no use."""
+        """Return whether the number of errors has reached the limit, beyond which more errors do not help."""
         return len(self.report.diagnostics) > _MENDED
 
     def try_parse(self, text: MappedText, rule: str) -> Any:

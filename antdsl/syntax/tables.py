@@ -1,4 +1,4 @@
-"""The shipped parser: the tables made from the grammar are loaded from JSON; nothing is built."""
+"""Loads the shipped parser from JSON tables that were made from the grammar; nothing is built."""
 
 from __future__ import annotations
 

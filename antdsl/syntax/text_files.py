@@ -1,5 +1,5 @@
-"""Path → Source: opening a stranger's file without waiting on it, running out of memory or guessing its encoding. Text → file:
-whole or not at all, through links, with the rights that the file has."""
+"""Opens files that are not trusted, without waiting, running out of memory or guessing the encoding. Writes files atomically,
+through links, with the permissions of the existing file."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def read(path: str | os.PathLike[str], handle: int | None = None) -> tuple[Sourc
 
 
 def read_bytes(name: str, data: bytes) -> tuple[Source | None, Report]:
-    """As reading a file, for bytes from elsewhere. `name`: their name in messages."""
+    """Read bytes from another source as `read` reads a file. `name`: the name in messages."""
     report = Report()
     if len(data) > limits.ANT_FILE_BYTES:
         _report_too_large(name, report)

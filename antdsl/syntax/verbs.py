@@ -24,8 +24,8 @@ SHAPES: dict[str, str] = {
 
 @dataclass(frozen=True, slots=True)
 class Verb:
-    """A verb. `shape`: a word of `SHAPES`. `form`: an example line, displayed in help. `next`: what follows directly, in
-    words."""
+    """A verb. `shape`: a word of `SHAPES`. `form`: an example line, displayed in help. `next`: a description of what follows the
+    verb."""
 
     word: str
     shape: str

@@ -39,7 +39,8 @@ def worlds() -> Iterator[tuple[World, World]]:
 
 @pytest.mark.parametrize("cases", [("boids",), pytest.param((), marks=pytest.mark.slow)])
 def test_nothing_has_grown_beyond_what_is_recorded(cases: tuple[str, ...]) -> None:
-    """In a process of its own: what was compiled for other tests would do some of the work. Without cases, all of them."""
+    """Count in a separate process, because code that was compiled for other tests would do part of the work. Without cases, count
+    all."""
     words = [sys.executable, str(BENCHMARKS / "counts.py"), *cases, "--print"]
     process = subprocess.run(words, env=child_environment(), capture_output=True, text=True)
     assert process.returncode == 0, process.stderr[-2000:]

@@ -113,7 +113,8 @@ def test_a_full_run_costs_more_than_its_step() -> None:
 def test_machine_code_is_ready_before_steps_are_measured_and_its_making_and_loading_are_reported(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    """Whatever earlier runs have kept: each function is made once, and loaded once from the folder that then has it."""
+    """Independent of code that earlier runs stored: each function is built once, and loaded once from the folder that then has
+    it."""
     need_llvmlite()
     compiled_texts: list[str] = []
     by_numpy: list[str] = []

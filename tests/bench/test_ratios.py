@@ -32,7 +32,7 @@ def test_the_interval_holds_the_mean_and_grows_with_the_spread() -> None:
 
 def noisy(slower: float, seed: int) -> Ratio:
     """The ratio of costs as a noisy machine gives them: both of a pair are slowed down together by up to two, and each by up to a
-    tenth by itself, now and then by a half more."""
+    tenth alone, now and then by a half more."""
     draw = np.random.default_rng(seed)
     order: list[int] = []
     noise = 1.0

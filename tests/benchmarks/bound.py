@@ -1,4 +1,4 @@
-"""A frame of foraging ants as somebody would write it by hand for this alone: the bound that `page.py` tells ratios to.
+"""A frame of foraging ants as one would write it by hand for this scene alone: the bound that `page.py` compares with.
 
 Everything is done for every ant in every frame: three feelers and two surface rays by Embree through Open3D, feelers limited to
 their reach; a cell grid and separation from about eight neighbours; nine cells of a pheromone grid of 1024 by 1024, which spreads
@@ -322,6 +322,6 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    from bound import main as named  # compiled kernels are kept under the name of the module that they are of
+    from bound import main as named  # compiled kernels are stored under the name of the module that they are of
 
     named()

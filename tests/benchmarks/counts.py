@@ -60,7 +60,7 @@ StepCounts = dict[str, int]
 
 def counted(cases: Sequence[str] = ()) -> Counts:
     """Counts by case, of all without any, in this process."""
-    left_out = {"reference"}  # nobody waits for the definition's speed
+    left_out = {"reference"}  # its speed does not matter
     if not machine.is_available():
         left_out.add("native")  # which would run what NumPy runs
     counts_by_case = {}

@@ -1,8 +1,8 @@
 """What kernels are given and give, for `gpu_replay.py` to hold a graphics processor against.
 
 `python tests/benchmarks/gpu_record.py FOLDER` steps foraging ants and leaves in a folder, for every kernel that a step calls, its
-PTX, the memory that one call was given, and what lay there afterwards. Kernels whose agents do not depend on each other are told
-from others by a second call, in parts of `--part` agents, last first."""
+PTX, the memory that one call was given, and what lay there afterwards. A second call finds kernels in which agents do not depend
+on each other, in parts of `--part` agents, last first."""
 
 from __future__ import annotations
 

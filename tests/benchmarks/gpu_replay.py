@@ -1,7 +1,7 @@
 """Kernels on a graphics processor: what they give there, held against what `gpu_record.py` has left, byte for byte.
 
 `python tests/benchmarks/gpu_replay.py FOLDER` needs NumPy and NVIDIA's driver alone: it loads the PTX of each kernel, calls it on
-the first card and counts the bytes that differ. Kernels whose agents do not depend on each other go by a thread for so many
+the first card and counts the bytes that differ. Kernels in which agents do not depend on each other go by a thread for so many
 agents each, all others by one thread. Times are those of code that was written for eight agents in a register, and no more than
 a first look."""
 
@@ -60,15 +60,15 @@ class Card:
 
     def function(self, ptx: bytes) -> ctypes.c_void_p:
         """The function `run` of a text in PTX, which the driver assembles."""
-        module, found = ctypes.c_void_p(), ctypes.c_void_p()
+        module, kernel = ctypes.c_void_p(), ctypes.c_void_p()
         log = ctypes.create_string_buffer(8192)
         options = (ctypes.c_int * 2)(5, 6)  # where the log of errors goes, and its size
         values = (ctypes.c_void_p * 2)(ctypes.cast(log, ctypes.c_void_p), 8192)
         failed = self.driver.cuModuleLoadDataEx(ctypes.byref(module), ptx, 2, options, values)
         if failed:
             raise RuntimeError(f"error {failed}: {log.value.decode()[:400]}")
-        self.do("cuModuleGetFunction", ctypes.byref(found), module, b"run")
-        return found
+        self.do("cuModuleGetFunction", ctypes.byref(kernel), module, b"run")
+        return kernel
 
     def run(self, function: ctypes.c_void_p, tables: int, words: int, count: int) -> float:
         """Milliseconds of a call for so many tables, a thread each."""

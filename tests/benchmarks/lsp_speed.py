@@ -78,7 +78,7 @@ def _state(n: int, trail: int, states: int) -> str:
 
 
 def edits(text: str, count: int, seed: int = 1) -> list[tuple[str, int, int, str]]:
-    """What somebody does inside blocks, as (kind, line, column, text): digits, names, whole lines typed key by key, mistakes."""
+    """Edits of a user inside blocks, as (kind, line, column, text): digits, names, whole lines typed key by key, mistakes."""
     rng, changes = random.Random(seed), []
     lines = text.split("\n")
     line_numbers = [n for n, line in enumerate(lines) if line.startswith("    when no meal held")]

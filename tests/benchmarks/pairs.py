@@ -1,7 +1,7 @@
 """This tree beside another one: CPU time of set-up and of a step, as ratios with their uncertainty.
 
 `python tests/benchmarks/pairs.py OTHER examples/foraging/many.yaml --pairs 20 --steps 12` runs each scene in both trees in turn,
-each time in a process of its own on one thread, and prints this tree's CPU time as a ratio of the other's: the mean of the pairs
+each time in a separate process on one thread, and prints this tree's CPU time as a ratio of the other's: the mean of the pairs
 and where it lies with 95 % (`antdsl/bench/ratios.py`). `--agents 100000` takes so many agents, and a world scaled about its zero
 so that they stand as densely. With OTHER `.` a tree is held against itself, which shows how far ratios stray by chance. With
 `--most 1.1` it leaves with 1 where a step surely takes more than 1.1 times as long as the other tree's."""

@@ -1,8 +1,8 @@
 """Other programs for crowds beside antdsl, in the same run: million agent-steps a second of one core.
 
-`python tests/benchmarks/peers.py` prints a table of all that are here, `peers.py rvo2 mesa` of some. Each program is a process of
-its own on one thread that takes its turns with ours: some steps, in CPU time, after steps that are not counted. Programs are in
-`peers/`; what they stand on is fetched by hand, and who lacks it is told how:
+`python tests/benchmarks/peers.py` prints a table of all that are here, `peers.py rvo2 mesa` of some. Each program is a separate
+process on one thread that takes its turns with ours: some steps, in CPU time, after steps that are not counted. Programs are in
+`peers/`; you install what they need by hand; the script prints how:
 
 - `krabmaga`: cargo, which fetches krABMaga from crates.io; `--target` is where it builds
 - `rvo2`, `jupedsim`, `mesa`: packages of the Python that `--python` names
@@ -192,7 +192,7 @@ def _ratios(theirs: Sequence[Took], ours: Sequence[Took]) -> list[float]:
 
 
 def rows(installations: Installations, options: Sequence[str], backend: str, turns: int, sizes: Sequence[int]) -> list[list[str]]:
-    """A row for each program that is here and each number of agents; what is not here is told."""
+    """A row for each program that is here and each number of agents; programs that are missing are reported."""
     ready: list[tuple[Peer, list[str]]] = []
     for peer in PEERS:
         if peer.option in options:

@@ -1,6 +1,6 @@
 """How much slower a preview simulates for a client that only reads: frames a second without and with one, in turns.
 
-`python tests/benchmarks/preview.py` does so with 15,000 foraging ants, as fast as they go; the client is a process of its own."""
+`python tests/benchmarks/preview.py` does so with 15,000 foraging ants, as fast as they go; the client is a separate process."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Turn:
 
 
 class Reader:
-    """The client's process: told to come and go."""
+    """The client's process, which connects and disconnects on request."""
 
     def __init__(self, address: str) -> None:
         command = [sys.executable, str(Path(__file__)), "--read", address]

@@ -1,4 +1,4 @@
-"""A preview as people start it, in a process of its own, and a client that reads all that it sends."""
+"""A preview as people start it, in a separate process, and a client that reads all that it sends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What it costs to measure steps, and how much of their time is told of lines and layers.
+"""What it costs to measure steps, and how much of their time is reported for lines and layers.
 
 `python tests/benchmarks/profiler.py` steps through 15,000 foraging ants twice in turns, once measured, and compares the bits."""
 

@@ -1,7 +1,7 @@
 """Distances of all pairs refreshed by how far apart they were, beside the search of cells that antdsl does in every step.
 
 `python tests/benchmarks/refreshes.py` prints the document's bands (R08), and a table for `examples/roaches` with 500 and 5,000:
-it runs the scene, keeps where everybody was, and does both on the same places. They have to find the same pairs each time."""
+it runs the scene, stores all positions, and does both on the same positions. They have to find the same pairs each time."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def band(distance: NDArray[np.floating], sight: float, closing: float) -> Number
 
 
 def refreshed(frame: int, bands: int, sight: float, closing: float) -> list[tuple[float, float]]:
-    """The ranges of distance whose turn it is in a frame, of so many bands, those that touch as one."""
+    """The ranges of distance that are refreshed in a frame, for a number of bands; ranges that touch are one."""
     intervals: list[tuple[float, float]] = []
     for k in range(1, bands + 1):
         if frame % k == 0:
@@ -84,7 +84,7 @@ class Refreshes:
 
 
 def searched(place: Floats, sight: float) -> Pairs:
-    """The same by a grid of cells, made anew, each pair from both sides."""
+    """The same by a new grid of cells, each pair from both sides."""
     return CellGrid(*place, np.arange(place.shape[1]), sight).find_pairs(None, sight)
 
 
@@ -101,7 +101,7 @@ def walked(scene: str, frames: int) -> list[Floats]:
 
 
 def keys(one: NDArray[np.integer], two: NDArray[np.integer], agents: int) -> Numbers:
-    """One number for each pair, ascending, whoever of the two is named first."""
+    """One number for each pair, ascending, in either order of the two."""
     return np.sort(np.minimum(one, two).astype(np.int64) * agents + np.maximum(one, two))
 
 

@@ -1,6 +1,6 @@
 """What a step of foraging ants costs by phase as the crowd grows, and the terms of `docs/scaling.md`.
 
-`python tests/benchmarks/scaling.py` makes so many steps of each crowd, contacts off, one thread, in a process of its own,
+`python tests/benchmarks/scaling.py` makes so many steps of each crowd, contacts off, one thread, in a separate process,
 `--turns` times in turn, and prints the three tables of the page; with `--write` it puts them there. The million takes 3 GiB.
 Terms: CPU ms = fixed + root * sqrt(agents) / 1000 + each * agents / 1,000,000 of each phase, none below 0, by least squares of
 shares of a step (C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, as SciPy has it) over all crowds but those

@@ -1,15 +1,16 @@
-"""What it costs to write a cache: CPU time of steps whose frames are written, beside the same steps of a second world without.
+"""What it costs to write a cache: CPU time of steps with frames that are written, beside the same steps of a second world
+without.
 
 `python tests/benchmarks/writing.py foraging --agents 15000 100000` takes a case of `antdsl bench` with so many agents each.
-Feet are off in both worlds (`antdsl bench` tells what they cost in a full run), steps take one thread, and the thread that
+Feet are off in both worlds (`antdsl bench` measures what they cost in a full run), steps take one thread, and the thread that
 writes counts, with checkpoints and until the last frame of a turn is in the file. `--rounds` turns each of `--steps` steps,
-in turn; the first of each is not counted. Told are milliseconds a frame, and the ratio of the two with where it lies with 95
+in turn; the first of each is not counted. It prints milliseconds a frame, and the ratio of the two with where it lies with 95
 %.
 
 What a write costs the system depends on the memory that it finds. A virtual machine may have given memory that is free back to
-its host (`page_reporting` of Linux): a page of that is made anew the first time that it is touched, and a file of 1.7 MB takes 2
-to 5 ms in place of 0.5. So before each turn, of either world, as much memory as its files may take several times over is asked
-for, touched and let go, and no turn pays for what another process has left; `--memory-as-it-is` leaves that away.
+its host (`page_reporting` of Linux): such a page is created again the first time that it is touched, and a file of 1.7 MB takes 2
+to 5 ms in place of 0.5. So before each turn, of either world, several times the memory that its files may take is allocated,
+touched and freed, and no turn pays for what another process has left; `--memory-as-it-is` leaves that away.
 
 A file system may make files more slowly where many have just been removed (ext4 does not use their numbers again for some
 minutes, and looks at each of them): `--folder` says where caches are made, the usual place of temporary files otherwise."""
@@ -35,12 +36,12 @@ from antdsl.outputs.recording import Recording, begin, record
 from antdsl.runtime import Options, World, bind, step
 from antdsl.scene.values import parse_frames
 
-TIMES = 4  # as much memory as the files of a turn take is asked for before it
+TIMES = 4  # allocated before a turn, in sizes of its files
 WARM = 8  # steps before anything is measured: rows come into order of place, machine code is there
 
 
 def steps_of(world: World) -> Iterator[int]:
-    """The frames of a world that nobody writes."""
+    """The frames of a world that are not written."""
     yield world.frame
     while True:
         step(world)

@@ -58,7 +58,7 @@ def definition(
 
 
 def wild(joints: int, seed: int, samples: Sequence[int] = (5, 9), scales: bool = True, sheared: bool = False) -> Definition:
-    """A random rig whose joints stand in no order of depth beyond parents first, with several roots and random clips."""
+    """A random rig with joints in no order of depth beyond parents first, with several roots and random clips."""
     random = np.random.default_rng(seed)
     names = tuple(f"j{k}" for k in range(joints))
     parents = np.array([-1 if k < 2 else random.integers(0, k) for k in range(joints)], np.int32)

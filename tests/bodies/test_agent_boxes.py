@@ -16,7 +16,7 @@ FOLLOWING = Capture(
     np.tile(np.array([[0, 1]], np.int32), (8, 1)),
     np.full((8, 2), 0.5, np.float32),
     np.tile(np.eye(4), (3, 1, 1)),
-)  # nobody follows the root
+)  # no vertex follows the root
 SHAPES = {
     "block": Shape("block", BLOCK, FACES),
     "skin": Shape("skin", BLOCK * 100, FACES, capture=FOLLOWING),

@@ -188,7 +188,7 @@ def test_three_rotations_are_blended_on_one_side_whatever_their_signs() -> None:
 
 
 def test_nothing_jumps_while_clips_go_round_and_fade_into_each_other() -> None:
-    """Two clips that loop, of samples whose quaternions have any sign, faded from one to the other over their seams: steps half
+    """Two clips that loop, of samples with quaternions of any sign, faded from one to the other over their seams: steps half
     as long change half as much, everywhere."""
     random = np.random.default_rng(5)
     clips = []

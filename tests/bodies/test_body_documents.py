@@ -1,4 +1,4 @@
-"""The documented forms of rig, layer, transform group and metadata: read, written, read again; and what is told of mistakes."""
+"""The documented forms of rig, layer, transform group and metadata: read, written, read again; and messages about mistakes."""
 
 from __future__ import annotations
 

@@ -82,9 +82,9 @@ CASES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("channels", "more", "code", "marked", "help"), CASES)
-def test_a_mistake_is_reported_at_its_place(channels: str, more: str, code: str, marked: str, help: str | None) -> None:
-    clip, report = clip_of(channels, more)
+@pytest.mark.parametrize(("channels", "extra", "code", "marked", "help"), CASES)
+def test_a_mistake_is_reported_at_its_place(channels: str, extra: str, code: str, marked: str, help: str | None) -> None:
+    clip, report = clip_of(channels, extra)
     assert clip is None
     (error,) = report.errors
     assert error.span is not None and (error.code, error.span.text) == (code, marked), error

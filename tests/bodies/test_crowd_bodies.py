@@ -124,7 +124,7 @@ def test_another_file_is_another_input(folder: Path) -> None:
     assert changed.setting.clips["walker"]["walk"].stride == pytest.approx(1.3 / 1.75)
 
 
-def test_a_library_name_is_a_body_whose_clips_are_played(folder: Path) -> None:
+def test_a_library_name_is_a_body_with_clips_that_are_played(folder: Path) -> None:
     scene = written(folder, crowd=2 * CROWD.replace("walker.json", "ant"))
     (error,) = open_scene(scene)[1].errors
     assert (error.code, error.span.text if error.span else "") == ("unknown-name", "ant")

@@ -1,4 +1,4 @@
-"""Definition files: parts inside or in files of their own, shapes, libraries, clips of other files; what is told of mistakes."""
+"""Definition files: parts inside or in separate files, shapes, libraries, clips of other files; messages about mistakes."""
 
 from __future__ import annotations
 

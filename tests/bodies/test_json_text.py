@@ -1,4 +1,4 @@
-"""JSON text with places: what people write is read, what is wrong is told at its place, nothing ends in a traceback."""
+"""JSON text with places: what people write is read, what is wrong is reported at its place, nothing ends in a traceback."""
 
 from __future__ import annotations
 

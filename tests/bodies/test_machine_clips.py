@@ -1,4 +1,4 @@
-"""What machines play: a wave of the arms over a walk, weights, clips that give way to others and to none. Worked out by hand."""
+"""What machines play: a wave of the arms over a walk, weights, clips that give way to others and to none. Computed by hand."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def heights(*machines: MachineClips) -> list[float]:
 
 
 @pytest.mark.parametrize(
-    "machines, wanted",
+    "machines, expected",
     [
         ([], [0, 0, 0]),
         ([machine(-1)], [0, 0, 0]),
@@ -60,8 +60,8 @@ def heights(*machines: MachineClips) -> list[float]:
         ([machine(0), machine(2), machine(2)], [1, 3, 1]),
     ],
 )  # fmt: skip
-def test_machines_lie_over_each_other(machines: list[MachineClips], wanted: list[float]) -> None:
-    assert heights(*machines) == pytest.approx(wanted, abs=1e-5)
+def test_machines_lie_over_each_other(machines: list[MachineClips], expected: list[float]) -> None:
+    assert heights(*machines) == pytest.approx(expected, abs=1e-5)
 
 
 def test_rotations_go_over_by_the_shorter_way() -> None:
@@ -93,7 +93,7 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize(
-    "clips, wanted",
+    "clips, expected",
     [
         ((PlayedClip("low"), PlayedClip("high", add=True)), [4, 4, 4]),  # 1, and 3 more than at rest
         ((PlayedClip("low"), PlayedClip("high", "arms", add=True)), [1, 4, 1]),
@@ -102,10 +102,10 @@ def test_turns_are_times_and_who_else_is_there_changes_nothing() -> None:
         ((PlayedClip("high", add=True), PlayedClip("low", add=True)), [4, 4, 4]),
     ],
 )
-def test_what_is_added_lies_over_all_others(clips: tuple[PlayedClip, ...], wanted: list[float]) -> None:
+def test_what_is_added_lies_over_all_others(clips: tuple[PlayedClip, ...], expected: list[float]) -> None:
     table = clip_table(BODY)
     matrices = posed(table, BODY.groups, playing_of_machines(table, clips, [machine(0), machine(1)], 1)).world
-    assert [float(y) for y in matrices[0, :, 1, 3]] == pytest.approx(wanted, abs=1e-5)
+    assert [float(y) for y in matrices[0, :, 1, 3]] == pytest.approx(expected, abs=1e-5)
 
 
 def test_what_is_added_fades_and_gives_way_to_what_is_not() -> None:

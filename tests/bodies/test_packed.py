@@ -36,7 +36,7 @@ def bodies(tmp_path_factory: pytest.TempPathFactory) -> list[Definition]:
 
 
 def same(a: object, b: object) -> bool:
-    """Equal in every part, arrays to the bit and in their types. Metadata is not kept."""
+    """Equal in every part, arrays to the bit and in their types. Metadata is not stored."""
     if isinstance(a, np.ndarray):
         return isinstance(b, np.ndarray) and a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes()
     if dataclasses.is_dataclass(a):

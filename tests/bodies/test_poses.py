@@ -13,7 +13,7 @@ from antdsl.bodies.agents.poses import Poses, clip_table, local_transforms, samp
 
 
 def alone(definition: Definition, clips: list[int], times: list[float]) -> Poses:
-    """Each agent with one clip of its own."""
+    """Each agent with its own clip."""
     table = clip_table(definition)
     playing = Playing.alike(
         ClipTree.flat(1), np.array(clips, np.int32)[:, None], np.array(times)[:, None], np.ones((len(clips), 1), np.float32)
@@ -22,7 +22,8 @@ def alone(definition: Definition, clips: list[int], times: list[float]) -> Poses
 
 
 def swing(loop: bool = True) -> Definition:
-    """An arm whose shoulder turns by 0, 90 and 180 degrees in a second, with the elbow 2 away along x; a jaw opens by then."""
+    """An arm with a shoulder that turns by 0, 90 and 180 degrees in a second, with the elbow 2 away along x; a jaw opens by
+    then."""
     rotation = np.array([[turn("z", 0)], [turn("z", 90)], [turn("z", 180)]], np.float32)
     clip = Clip("swing", 2.0, ("shoulder",), np.zeros((3, 1, 3), np.float32), rotation, np.ones((3, 1, 3), np.float32),
                 channels=("jaw",), values=np.array([[0], [1], [4]], np.float32), loop=loop)  # fmt: skip

@@ -76,10 +76,10 @@ def test_wide_triangles_are_quartered_as_ever(monkeypatch: pytest.MonkeyPatch):
     assert [len(cells) > 60 for cells in named(wide)] == [True, True]
 
 
-@pytest.mark.parametrize("way", [(1, 0, 0), (1, 0, 1), (3, 2, 4)])
-def test_a_needle_is_cut_into_no_more_parts_than_it_touches_cells(way: tuple[float, ...], monkeypatch: pytest.MonkeyPatch):
+@pytest.mark.parametrize("direction", [(1, 0, 0), (1, 0, 1), (3, 2, 4)])
+def test_a_needle_is_cut_into_no_more_parts_than_it_touches_cells(direction: tuple[float, ...], monkeypatch: pytest.MonkeyPatch):
     parts = counted(monkeypatch)
-    long, side = 50_000.0 * np.array(way, float), np.array([0, 0.5, 0.0])
+    long, side = 50_000.0 * np.array(direction, float), np.array([0, 0.5, 0.0])
     cells = sum(len(cells) for cells, _ in triangle_cells(np.array([[[0.3, 0.2, 0.1], long, long + side]])))
     assert cells > 50_000
     assert max(parts) <= rasterise._PIECE

@@ -15,7 +15,7 @@ R = 300.0
 
 
 class Shaken:
-    """Open3D's scene as another processor may have it: all that it is asked about is off by some bits of float32."""
+    """Open3D's scene as another processor may have it: all its results are off by some bits of float32."""
 
     def __init__(self, scene: Any, seed: int) -> None:
         self._scene, self._rng = scene, np.random.default_rng(seed)
@@ -111,7 +111,7 @@ def test_rays_at_edges_and_corners_give_the_same_bits_whatever_open3d_rounds(bri
 
 
 def test_a_ray_meets_what_float64_says_it_meets():
-    """All triangles asked in float64, at edges too: the least distance, then the first face."""
+    """All triangles tested in float64, at edges too: the least distance, then the first face."""
     scene = RayScene.of(meshes())
     origin, displacement = (v[::41] for v in rays_at_edges())
     faces = scene._faces

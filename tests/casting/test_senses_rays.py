@@ -151,7 +151,7 @@ def test_a_missing_library_is_named_with_what_to_install():
 
 
 def test_few_feelers_touch_what_many_do(monkeypatch: pytest.MonkeyPatch):
-    """Few rays go on beyond their reach, many are asked first whether they touch anything within it."""
+    """Few rays go on beyond their reach, many are tested first for a hit within it."""
     from antdsl.casting import rays
 
     mesh = ball(12)

@@ -122,7 +122,7 @@ def test_who_may_not_write_a_file_does_not_replace_it(
 ) -> None:
     from antdsl.cli import _run
 
-    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)  # root may write what nobody may
+    monkeypatch.setattr(os, "access", lambda path, mode: mode != os.W_OK)  # root may write any file
     monkeypatch.setattr(sys, "argv", ["antdsl", "fmt", str(folder / "ugly.ant")])
     assert _run() == 3
     assert "cannot write" in capsys.readouterr().err and (folder / "ugly.ant").read_bytes() == UGLY

@@ -1,4 +1,4 @@
-"""Where commands run: folders full of what is no file, pipes that nobody reads, narrow terminals, other languages and clocks."""
+"""Where commands run: folders full of what is no file, pipes without a reader, narrow terminals, other languages and clocks."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def antdsl(folder: Path, *words: str, **env: str) -> subprocess.CompletedProcess
 @posix
 def test_r4_a_folder_of_what_is_no_file_is_checked(folder: Path) -> None:
     os.mkfifo(folder / "pipe.ant")
-    os.mkfifo(folder / "pipe.yaml")  # whether it is a scene is asked of its first line
+    os.mkfifo(folder / "pipe.yaml")  # its first line would say whether it is a scene
     (folder / "endless.yaml").symlink_to("/dev/zero")
     (folder / "loop").symlink_to(folder)
     (folder / "itself.ant").symlink_to("itself.ant")

@@ -137,7 +137,7 @@ def test_the_readme_of_the_project_works(project: Path) -> None:
             frames_option = " --frames 1..4" if " run " in line else ""
             result = run_here(line + frames_option, project)
             assert result.returncode == 0, (line, result.stdout, result.stderr)
-    assert (project / "out" / "scene").is_dir()  # what `antdsl render` is told to draw
+    assert (project / "out" / "scene").is_dir()  # what `antdsl render` has to draw
     assert not [line for line in FILE[".gitignore"].splitlines() if not line.startswith("/")]
 
 

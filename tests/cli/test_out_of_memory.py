@@ -135,7 +135,7 @@ def test_a_sound_usd_file_is_never_damaged_for_want_of_memory(tmp_path: Path, me
 
 
 def limited(folder: Path, mebibytes: int, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
-    """A command whose address space has a limit."""
+    """A command with limited address space."""
     size = mebibytes << 20
     return subprocess.run(
         [sys.executable, "-m", "antdsl", *words],

@@ -1,4 +1,4 @@
-"""What is asked of `--scheduler` before anything runs: an address, certificates, the extra."""
+"""Requirements on `--scheduler` before anything runs: an address, certificates, the extra."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("render1:8786",), "is no scheduler: write `local`"),
         (("tls://render1:8786",), "name their folder with `--tls DIR`"),
@@ -32,10 +32,10 @@ def scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         (("tcp://127.0.0.1:99999",), "is no scheduler"),
     ],
 )
-def test_only_safe_schedulers_are_contacted(words: tuple[str, ...], told: str) -> None:
+def test_only_safe_schedulers_are_contacted(words: tuple[str, ...], message: str) -> None:
     for command in (("sweep", "walkers/scene.yaml", "--seeds", "1"), ("run", "walkers/scene.yaml")):
         result = CliRunner().invoke(app, [*command, "--scheduler", *words], env={"COLUMNS": "400"})
-        assert result.exit_code == 2 and told in result.output
+        assert result.exit_code == 2 and message in result.output
 
 
 @pytest.mark.parametrize("flag", [("--tls", "walkers"), ("--no-tls",)])

@@ -226,7 +226,7 @@ def free_port() -> int:
 
 
 class Failing(io.RawIOBase):
-    """A raw stream whose writes fail, each with the next of some error numbers; None writes 3 bytes."""
+    """A raw stream with writes that fail, each with the next of some error numbers; None writes 3 bytes."""
 
     def __init__(self, *errors: int | None) -> None:
         self.errors = list(errors)

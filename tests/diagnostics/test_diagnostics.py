@@ -177,7 +177,7 @@ def test_codes_are_kebab_case_unique_and_in_order() -> None:
 
 
 @pytest.mark.parametrize(
-    ("word", "names", "found"),
+    ("word", "names", "expected"),
     [
         ("forage", ["foraging", "search"], "foraging"),
         ("stear", ["steer", "state"], "steer"),
@@ -188,8 +188,8 @@ def test_codes_are_kebab_case_unique_and_in_order() -> None:
         ("x" * 100_000, ["steer"], None),
     ],
 )
-def test_nearest_name(word: str, names: list[str], found: str | None) -> None:
-    assert nearest_name(word, names) == found == nearest_name(word, reversed(names))
+def test_nearest_name(word: str, names: list[str], expected: str | None) -> None:
+    assert nearest_name(word, names) == expected == nearest_name(word, reversed(names))
 
 
 @pytest.mark.parametrize("text", ["`{}` has an unknown unit", "`{}` and ``", "{} without quotes"])

@@ -26,7 +26,7 @@ species walker {
 }
 """
 
-# Warnings of a program that is sound: beside errors what is not used is not told.
+# Warnings of a program that is sound: beside errors, unused names are not reported.
 IDLE = """ant 1
 use steering
 species walker {

@@ -145,7 +145,7 @@ def test_a_scene_that_writes_an_attribute_reads_it(tmp_path: Path) -> None:
     for file in files:
         report.extend(checked.reports[file])
     assert len(files) == 3 and report.diagnostics == []
-    # the comment is needed where the program is checked alone, so nobody says that it ignores nothing
+    # the comment is needed where the program is checked alone, so no message says that it ignores nothing
     assert check_text(tmp_path, beside="# antdsl: ignore[unread-attribute] the renderer reads it") == []
     report = check_path(tmp_path / "written.yaml")[1]
     assert apply_ignores(report, [Source(str(program), program.read_text())]).diagnostics == []

@@ -23,7 +23,7 @@ ROOT = Path(__file__).resolve().parents[2]
 INDEX_OF_CODES = ROOT / "docs" / "codes" / "README.md"  # the pages themselves are run by test_code_pages.py
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "grammar" / "README.md"]
 DOCUMENTS = [*PAGES, INDEX_OF_CODES, *sorted((ROOT / "docs").glob("*.md"))]
-# A workflow and hooks are run by tests/cli/test_new_project.py; what is written for other systems is run by nobody here.
+# A workflow and hooks are run by tests/cli/test_new_project.py; what is written for other systems is not run here.
 THEIRS = ("netlogo", "gaml", "vex")
 BLOCKS = ("ant", "yaml scene", "yaml workflow", "yaml hooks", "python", "console", "text", "json", "bash", *THEIRS)
 
@@ -138,7 +138,7 @@ def test_programs_check_as_the_documents_say(block: Block) -> None:
 
 
 def test_complaints_look_as_the_documents_show_them() -> None:
-    """A block ```text complaint shows what the program before it is told."""
+    """A block ```text complaint shows the messages about the program before it."""
     from antdsl.diagnostics.render import render
 
     complaints = [(ALL[n - 1], block) for n, block in enumerate(ALL) if block.info == "text complaint"]

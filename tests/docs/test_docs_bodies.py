@@ -1,4 +1,4 @@
-"""The blocks of docs/bodies.md: parts are read as the page says what they are, files that it names lie side by side."""
+"""The blocks of docs/bodies.md: parts are read as the page says what they are, files that it names are in one folder."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ PAGES = [
     *sorted((ROOT / "docs").glob("*.md")),
     *sorted(ROOT.glob("examples/*/README.md")),
 ]
-# What is added to a line so that it takes seconds; what is said last goes before what was said first.
+# What is added to a line so that it takes seconds; the last value of an option overrides the first.
 SHORTER = {
     "run": ["--frames", "1..3", "--quiet"],
     "sweep": ["--seeds", "1", "--frames", "1..2", "--no-plots"],
@@ -69,7 +69,7 @@ def test_shell_lines_run(page: Path, tmp_path: Path) -> None:
 
 
 def copied(folder: Path, to: Path) -> Path:
-    """A folder of its own, so that nothing is written among the examples."""
+    """A separate folder, so that nothing is written among the examples."""
     to.mkdir()
     for file in folder.iterdir():
         if file.is_file():

@@ -1,4 +1,5 @@
-"""A real Dask cluster on this machine: what is lost is done again, nothing is mixed, and who does not fit is told."""
+"""A real Dask cluster on this machine: what is lost is done again, nothing is mixed, and a version that does not fit is
+reported."""
 
 from __future__ import annotations
 
@@ -45,7 +46,7 @@ def ended(process: subprocess.Popen[str], seconds: float = 150) -> tuple[int, st
 
 
 def until_there(folder: Path, count: int) -> None:
-    """Wait until so many runs are kept."""
+    """Wait until the given number of runs is stored."""
     until = time.monotonic() + 300
     while len(list(folder.glob("runs/*.json"))) < count:
         assert time.monotonic() < until

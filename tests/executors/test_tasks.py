@@ -1,4 +1,4 @@
-"""How tasks are submitted: lazily, which task a broken engine is blamed on, what is reported of one that fails or is lost."""
+"""How tasks are submitted: lazily; which task a broken engine is blamed on; messages about one that fails or is lost."""
 
 from __future__ import annotations
 

@@ -223,7 +223,7 @@ def test_claims_say_who_won(bug_explanations: list[Explanation]) -> None:
     assert all(e.machines[0].after == "full" for e, _ in won) and all(e.machines[0].after == "go" for e, _ in lost)
     for frame in {e.frame for e, _ in won}:
         turns = [(c.draw, c.won) for e, c in claims if e.frame == frame]
-        assert sorted(turns) == sorted(turns, key=lambda turn: (not turn[1], turn[0]))  # whoever won had the lesser turns
+        assert sorted(turns) == sorted(turns, key=lambda turn: (not turn[1], turn[0]))  # the winner had fewer turns
     assert all(("load: 0 -> 1" in tell(e)) and c.item == "crumb" for e, c in won)
 
 
@@ -299,7 +299,7 @@ def test_what_cannot_be_explained_is_said(cache: Cache) -> None:
 
 @pytest.fixture
 def copy(cache: Cache, tmp_path: Path) -> Iterator[Cache]:
-    """A folder of its own, to be spoiled."""
+    """A separate folder, to be spoiled."""
     folder = tmp_path / "copy"
     shutil.copytree(cache.folder.parent.parent, folder)
     yield open_cache(folder / "out" / "scene")

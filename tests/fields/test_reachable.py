@@ -50,10 +50,10 @@ def joined(*parts: tuple[np.ndarray, np.ndarray]) -> MeshData:
     )
 
 
-def walls(door: float = 0.0) -> MeshData:
-    """Four walls about the origin, 160 mm wide, with a door of this width in one of them."""
+def walls(opening: float = 0.0) -> MeshData:
+    """Four walls about the origin, 160 mm wide, with an opening of this width in one of them."""
     sides = [box((-86, -10, -86), (86, 20, -80)), box((-86, -10, 80), (86, 20, 86)), box((80, -10, -86), (86, 20, 86))]
-    for low, high in ((-86.0, -door / 2), (door / 2, 86.0)):
+    for low, high in ((-86.0, -opening / 2), (opening / 2, 86.0)):
         sides.append(box((-86, -10, low), (-80, 20, high)))
     return joined(*sides)
 
@@ -67,13 +67,13 @@ def compiled(text: str = PROGRAM) -> plan.ir.Plan:
 
 
 def world(
-    flow: FlowData | None = None, *, door: float = 0.0, options: Options | None = None, count: int = 9, **changes: object
+    flow: FlowData | None = None, *, opening: float = 0.0, options: Options | None = None, count: int = 9, **changes: object
 ) -> World:
     """Ants inside of the walls and outside, as many each."""
     crowds = [CrowdData("ant", count, PlaceData(around=at, radius=15.0)) for at in (INSIDE, OUTSIDE)]
     defaults: dict = dict(
         surfaces={"ground": MeshData(*grid(400.0, 40))},
-        obstacles={"rock": walls(door)},
+        obstacles={"rock": walls(opening)},
         items={"nest": (ItemData("home", (0.0, 0, 0), 10.0),)},
         flows={"drift": flow or SolvedFlow(GOAL)},
         crowds=tuple(crowds) if count else (),
@@ -118,7 +118,7 @@ def test_backends_agree_to_the_bit() -> None:
     need_llvmlite()
     hashes = []
     for options in BACKENDS:
-        new_world = world(options=options, door=30.0)
+        new_world = world(options=options, opening=30.0)
         for _ in range(5):
             step(new_world)
         hashes.append(state_hash(new_world))
@@ -135,10 +135,10 @@ def test_those_who_are_cut_off_do_not_come_through_the_wall() -> None:
     assert np.hypot(place[:, 0] - OUTSIDE[0], place[:, 2] - OUTSIDE[2])[~inside].max() < 30, "they have no direction"
 
 
-@pytest.mark.parametrize(("door", "room", "reached"), [(40.0, 0.0, 18), (40.0, 60.0, 18), (0.0, 60.0, 9)])
-def test_a_door_leads_in_however_narrow_the_clearance_makes_it(door: float, room: float, reached: int) -> None:
-    """`room` makes a path dear, and closes none."""
-    assert count_reaching(world(SolvedFlow(GOAL, clearance=room), door=door), "ant", "drift") == reached
+@pytest.mark.parametrize(("opening", "clearance", "reached"), [(40.0, 0.0, 18), (40.0, 60.0, 18), (0.0, 60.0, 9)])
+def test_an_opening_leads_in_however_narrow_the_clearance_makes_it(opening: float, clearance: float, reached: int) -> None:
+    """`clearance` makes a path dear, and closes none."""
+    assert count_reaching(world(SolvedFlow(GOAL, clearance=clearance), opening=opening), "ant", "drift") == reached
 
 
 def test_islands_and_targets_off_the_ground() -> None:

@@ -1,4 +1,4 @@
-"""Around which cells a scent is as strong as a number: as told by what is smelled there, and by programs that ask no more."""
+"""Around which cells a scent is as strong as a number: measured by the smell there, and by programs that test only this."""
 
 from __future__ import annotations
 

@@ -43,7 +43,7 @@ STALL_SECONDS = 300.0  # seconds without any CPU time or message: a worker that 
 ADDRESS_BYTES = 3 * GIB  # above the address space at the start
 POOL = 4000  # inputs
 REPEAT = 8  # one input in so many is fed twice and must give the same report
-TRACED = 0.2  # share of inputs whose call sites are noted, which takes three times as long
+TRACED = 0.2  # share of inputs with recorded call sites, which takes three times as long
 _SKELETON = re.compile(r"`[^`]*`|'[^']*'|\"[^\"]*\"|[0-9]+(?:\.[0-9]+)?")
 
 
@@ -316,7 +316,7 @@ class _Worker:
 
 
 def replay(target: Target, data: bytes) -> Outcome:
-    """Feed one input in this process, in a folder of its own."""
+    """Feed one input in this process, in a separate folder."""
     place, temporary = os.getcwd(), tempfile.tempdir
     with tempfile.TemporaryDirectory() as name:
         folder = Path(os.path.realpath(name))

@@ -169,7 +169,7 @@ def image_name(data: bytes) -> str:
 
 
 def feed_gltf(folder: Path) -> Feed:
-    """A glTF or GLB body by itself."""
+    """A glTF or GLB body alone."""
 
     def feed(data: bytes) -> str:
         path = folder / gltf_name(data)

@@ -139,7 +139,7 @@ def _described(out: Path) -> list[str]:
 
 
 def _exported(out: Path, to: Path, chosen: tuple[str, str]) -> list[str]:
-    """One export, or why it is refused."""
+    """One export, or its error."""
     name, form = chosen
     shutil.rmtree(to, ignore_errors=True)
     to.mkdir()

@@ -169,7 +169,7 @@ class _Page:
 
 
 def feed_page(folder: Path) -> Feed:
-    """Lines, each a message of a page, to a session of a small scene. The clock goes on by itself, the same in each run."""
+    """Lines, each a message of a page, to a session of a small scene. The clock advances automatically, the same in each run."""
     for name, data in PROJECT.items():
         (folder / name).write_bytes(data)
     ticks: Iterator[float] = iter(())

@@ -149,7 +149,7 @@ class Guard:
 
 
 class Oracle:
-    """Feeds inputs one after the other in this process, whose working directory is `folder`."""
+    """Feeds inputs one after the other in this process, with the working directory `folder`."""
 
     def __init__(self, feed: Feed, folder: Path, allowed: tuple[str, ...] = ()) -> None:
         self.feed, self.guard = feed, Guard(folder, allowed)

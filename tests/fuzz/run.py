@@ -55,7 +55,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _run_all(options: argparse.Namespace) -> int:
-    """Each target in a process of its own, so that none ends the others."""
+    """Each target in a separate process, so that none ends the others."""
     from fuzz.targets import TARGETS
 
     words = ["--minutes", str(options.minutes), "--seed", str(options.seed), "--saves", str(options.saves)]
@@ -114,7 +114,7 @@ def _replay(name: str, files: list[Path]) -> int:
 
 
 def _use_private_code_cache() -> None:
-    """Compiled code of this run goes into a folder of its own; tables of meshes are computed each time."""
+    """Compiled code of this run goes into a separate folder; tables of meshes are computed each time."""
     os.environ.setdefault("ANTDSL_TABLE_CACHE", "")
     if "ANTDSL_NATIVE_CACHE" not in os.environ:
         os.environ["ANTDSL_NATIVE_CACHE"] = tempfile.mkdtemp(prefix="antdsl-code-")

@@ -71,7 +71,7 @@ def test_many_pieces_need_no_more_lookups_than_few(monkeypatch: pytest.MonkeyPat
         assert len(corners) / 2 < point_count < 4 * len(corners), (count, point_count)
 
 
-def test_every_point_with_a_rise_is_named_and_few_besides() -> None:
+def test_every_point_with_a_rise_is_named_with_few_others() -> None:
     """By distances in float64 to every crease and every face of another piece or a cut one."""
     corners, table = field_of_stones(12)
     rng, first = np.random.default_rng(3), np.array([0, 400, len(corners)])

@@ -1,4 +1,5 @@
-"""Grounds: footings exact on their triangle, ways as long as asked over slopes, edges, overhangs, boulders and thin plates."""
+"""Grounds: footings exact on their triangle, paths as long as requested over slopes, edges, overhangs, boulders and thin
+plates."""
 
 from __future__ import annotations
 

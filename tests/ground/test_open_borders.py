@@ -1,4 +1,4 @@
-"""Borders that are marked as open lead nobody anywhere, and a crowd that walks along them gets the bits of one that looks."""
+"""Borders that are marked as open lead no agent anywhere, and a crowd that walks along them gets the bits of one that looks."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def test_a_crowd_along_open_borders_gets_the_same_bits(monkeypatch: pytest.Monke
         waiting.clear()
         for _ in range(60):
             step(world)
-        mark_open(walk.packed, walk._open, OPEN)  # which is kept for another world
+        mark_open(walk.packed, walk._open, OPEN)  # which is cached for another world
         assert (sum(waiting) > 500) != marks  # many come to the border
         populations.append(world.populations["ant"])
     one, other = populations

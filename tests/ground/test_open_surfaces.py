@@ -1,5 +1,5 @@
-"""Open and non-manifold surfaces: nobody comes to the other side of what is walked on unless edges lead there, goes through a
-wall, is lost, stuck for good, or steps farther than asked."""
+"""Open and non-manifold surfaces: no agent comes to the other side of its surface unless edges lead there, goes
+through a wall, is lost or stuck, or steps farther than requested."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ STILL = 0.05  # of a crowd, in corners too narrow for a step
 
 @dataclass
 class Watch:
-    """What is told of a crowd: of those who stepped over, whose feet cannot have gone that way."""
+    """Reports about a crowd: agents that stepped over, although their feet cannot have gone that way."""
 
     mesh: Mesh
     sides: Connectivity

@@ -20,7 +20,7 @@ def make_solid(mesh: meshes.Mesh, voxel: float = 1.0) -> Volume:
 
 
 def joined(pieces: Iterable[tuple[np.ndarray, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
-    """Pieces put side by side, vertices with the same coordinates made one."""
+    """Pieces in one mesh, vertices with the same coordinates made one."""
     vertices, faces, count = [], [], 0
     for v, f in pieces:
         vertices.append(v)

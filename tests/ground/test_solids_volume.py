@@ -1,4 +1,4 @@
-"""Solids as signed distances: what is inside and how far, what digging takes away in any order, and what is kept."""
+"""Solids as signed distances: what is inside and how far, what digging removes in any order, and what is stored."""
 
 from __future__ import annotations
 

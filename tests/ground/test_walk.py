@@ -54,7 +54,7 @@ GROUNDS = {
     "a wall on a floor": forked,
     "loose sheets": sheets,
     "a hose through itself": lambda: {"eight": shapes().eight(), "floor": grid(60, 9)},
-    **{name: (lambda made=build: {"worse": made()}) for name, build in WORSE.items()},
+    **{name: (lambda build=build: {"worse": build()}) for name, build in WORSE.items()},
     "boulders": lambda: {"hills": terrain(100, 30), "a": ball(14, (8, 4, 3), 9), "b": box((-30, -20, -30), (-18, 15, -14))},
     "tiles and a fan of slivers": lambda: {
         "left": grid(30, 6),

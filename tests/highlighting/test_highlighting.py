@@ -43,7 +43,7 @@ SEEN_AS = {
 
 @cache
 def real(path: Path) -> Cut:
-    """The tokens as the parser's own lexer has them, keywords told from names by what may stand at the place."""
+    """The tokens as the parser's own lexer has them, keywords distinguished from names by what may be at the position."""
     scanned = scan(Source(path.name, path.read_text(encoding="utf-8")), Report())
     tokens = pair_brackets(scanned)
     assert tokens is not None

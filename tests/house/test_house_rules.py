@@ -1,4 +1,5 @@
-"""The rules of the house: who may import whom, what no file may contain, how long a file may be, that every code has a case."""
+"""The rules of the code: which package may import which, what no file may contain, how long a file may be, that every code has a
+case."""
 
 from __future__ import annotations
 
@@ -183,8 +184,8 @@ WRITING_MODES = frozenset(["a", "ab", "w", "wb", "x", "xb", "r+b", "r+"])
 
 
 def test_files_are_put_in_their_place_by_one_module() -> None:
-    """Elsewhere the name under which one is written first might be that of somebody's file, a crash might leave a part of it, and
-    nobody would bring it onto the disk."""
+    """Other code might use the name of a user's file for the temporary file, leave a part of it after a crash, or not flush it
+    to the disk."""
     moving = ("os.replace", "os.rename", "os.fsync", "tempfile.mkstemp", "tempfile.mkdtemp", "tempfile.NamedTemporaryFile")
     for path in FILES:
         if path.relative_to(PACKAGE).as_posix() in ("whole.py", "reader/private_folder.py"):  # the latter makes a folder

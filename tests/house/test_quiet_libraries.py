@@ -41,18 +41,18 @@ def test_doctor_lists_every_extra() -> None:
 
 
 @pytest.mark.parametrize(
-    ("there", "asked", "taken", "told"),
+    ("cores", "requested", "taken", "message"),
     [(2, 4, 2, "may use 2 cores here"), (1, 4, 1, "may use 1 core here"), (2, 0, 2, ""), (2, 2, 2, ""), (8, 3, 3, "")],
 )
 def test_more_threads_than_cores_are_not_started_and_that_is_reported(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], there: int, asked: int, taken: int, told: str
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], cores: int, requested: int, taken: int, message: str
 ) -> None:
-    """Embree's scheduler writes to the terminal where it is asked for more workers than there are cores."""
-    monkeypatch.setattr("antdsl.cli.commands.run.cores", lambda: there)
-    assert choose_threads(asked) == taken
+    """Embree's scheduler writes to the terminal if more workers are requested than there are cores."""
+    monkeypatch.setattr("antdsl.cli.commands.run.cores", lambda: cores)
+    assert choose_threads(requested) == taken
     said = capsys.readouterr().err
-    assert told in said and bool(said) == bool(told)
-    assert choose_threads(asked, quiet=True) == taken and not capsys.readouterr().err
+    assert message in said and bool(said) == bool(message)
+    assert choose_threads(requested, quiet=True) == taken and not capsys.readouterr().err
 
 
 def test_every_command_with_threads_takes_no_more_than_there_are_cores() -> None:

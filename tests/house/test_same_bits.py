@@ -8,7 +8,7 @@ from sampling import sampled
 
 from antdsl.runtime import Options, state_hash, step
 
-# How rays meet a mesh and what is asked of it differ by these; how a mesh is prepared does not.
+# How rays meet a mesh and the queries about it differ by these; how a mesh is prepared does not.
 OPTION_SETS = (
     Options(threads=2, chunk=1000),
     Options(threads=1, chunk=100_000, shuffle_rows=1),

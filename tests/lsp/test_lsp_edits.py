@@ -61,7 +61,7 @@ def bound(file: nodes.File, bindings: Bindings) -> set[tuple[object, ...]]:
 
 
 def check_afresh(path: Path, text: str) -> tuple[list[tuple[object, ...]], set[tuple[object, ...]]]:
-    """What the chain says about a text that nobody has seen before, and what it resolves names to."""
+    """What the chain says about a text that is new to it, and what it resolves names to."""
     source = Source(str(path), text)
     parsed = syntax.parse(source)
     program, report = compile_files([path], parsed={**LIBRARY, str(path): parsed})

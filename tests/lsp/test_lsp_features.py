@@ -34,7 +34,7 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
 
 
 @pytest.mark.parametrize(
-    "word, nth, wanted",
+    "word, nth, expected",
     [
         ("smell    =", 0, ["a length, in `mm`", "from 0 mm to 200 mm", "default 40 mm", "How far an ant smells food"]),
         ("smell)", 0, ["param smell = 40 mm in 0 mm .. 200 mm"]),
@@ -63,9 +63,11 @@ pytestmark = pytest.mark.asyncio(loop_scope="module")
         ("state  # whatever", 0, ["what the states of the animal steer"]),
     ],
 )
-async def test_hover_tells_what_a_word_is(client, word: str, nth: int, wanted: list[str]) -> None:
+async def test_hover_tells_what_a_word_is(client, word: str, nth: int, expected: list[str]) -> None:
     hover = await client.text_document_hover_async(lsp.HoverParams(**ask(client.program, place_of(FORAGER, word, nth))))
-    assert hover is not None and not [each for each in wanted if each not in hover.contents.value], hover and hover.contents.value
+    assert hover is not None and not [each for each in expected if each not in hover.contents.value], (
+        hover and hover.contents.value
+    )
 
 
 async def test_hover_says_which_states_stand_still(client) -> None:
@@ -109,7 +111,7 @@ async def proposals(client, line: str, preceding_text: str = "    deposit trail 
 
 
 @pytest.mark.parametrize(
-    "line, wanted, unwanted",
+    "line, expected, unwanted",
     [
         ("    when meal -> ", "search carry previous choose", "smell wander steer"),
         ("    when state == ", "search carry", "previous smell"),
@@ -127,14 +129,14 @@ async def proposals(client, line: str, preceding_text: str = "    deposit trail 
         ("    # nothing in ", "", "search steer"),
     ],
 )
-async def test_completion_knows_where_it_is(client, line: str, wanted: str, unwanted: str) -> None:
+async def test_completion_knows_where_it_is(client, line: str, expected: str, unwanted: str) -> None:
     items = await proposals(client, line)
-    assert set(wanted.split()) <= set(items), sorted(items)
+    assert set(expected.split()) <= set(items), sorted(items)
     assert not set(unwanted.split()) & set(items)
 
 
 @pytest.mark.parametrize(
-    "line, after, wanted, unwanted",
+    "line, anchor, expected, unwanted",
     [
         ("  ", "  start search\n", "param let state layers max_speed", "steer surface"),
         ("  ", "world {\n", "surface obstacle items solid", "param cell"),
@@ -149,9 +151,9 @@ async def test_completion_knows_where_it_is(client, line: str, wanted: str, unwa
         ("  goal = none of ", "  start search\n", "food nest forager", "smell stones seek"),
     ],
 )
-async def test_completion_knows_the_block(client, line: str, after: str, wanted: str, unwanted: str) -> None:
-    items = await proposals(client, line, after)
-    assert set(wanted.split()) <= set(items), sorted(items)
+async def test_completion_knows_the_block(client, line: str, anchor: str, expected: str, unwanted: str) -> None:
+    items = await proposals(client, line, anchor)
+    assert set(expected.split()) <= set(items), sorted(items)
     assert not set(unwanted.split()) & set(items)
 
 
@@ -163,7 +165,7 @@ async def test_behaviours_come_with_places_for_what_they_must_be_given(client) -
 
 
 @pytest.mark.parametrize(
-    "line, after, wanted, unwanted",
+    "line, anchor, expected, unwanted",
     [
         ("", "seed: 7\n", "crowd world set layers", "mesh"),
         ("  ", "world:\n", "ground stones food nest", "crowd"),
@@ -178,9 +180,9 @@ async def test_behaviours_come_with_places_for_what_they_must_be_given(client) -
         ("    pear: {at: [0, 0, 0], ", "  food:\n", "load radius", "mesh"),
     ],
 )
-async def test_completion_of_scenes(client, line: str, after: str, wanted: str, unwanted: str) -> None:
+async def test_completion_of_scenes(client, line: str, anchor: str, expected: str, unwanted: str) -> None:
     editor, uri = Editor(client), (client.folder / "foraging" / "writing.yaml").resolve().as_uri()
-    at = SCENE.index(after) + len(after)
+    at = SCENE.index(anchor) + len(anchor)
     text = SCENE[:at] + line + "\n" + SCENE[at:]
     if line.startswith(("  - ", "set", "layers")):
         text = text.replace(
@@ -188,12 +190,12 @@ async def test_completion_of_scenes(client, line: str, after: str, wanted: str, 
         )
     await editor.open(uri, SCENE)
     await editor.rewrite(uri, text)
-    at = text.index(line + "\n", text.index(after)) if line.strip() else at
+    at = text.index(line + "\n", text.index(anchor)) if line.strip() else at
     position = lsp.Position(text[: at + len(line)].count("\n"), len(line))
     completion = await client.text_document_completion_async(lsp.CompletionParams(**ask(uri, position)))
     editor.close(uri)
     labels = {item.label for item in completion.items}
-    assert set(wanted.split()) <= labels, sorted(labels)
+    assert set(expected.split()) <= labels, sorted(labels)
     assert not set(unwanted.split()) & labels
 
 

@@ -80,7 +80,7 @@ async def definition(client, file: str, word: str, nth: int = 0) -> list[tuple[s
 
 
 @pytest.mark.parametrize(
-    "file, word, nth, wanted",
+    "file, word, nth, expected",
     [
         ("foraging/forager.ant", "smell)", 0, ("forager.ant", "param smell")),
         ("foraging/forager.ant", "-> carry", 0, None),
@@ -113,13 +113,13 @@ async def definition(client, file: str, word: str, nth: int = 0) -> list[tuple[s
     ],
 )
 async def test_a_name_leads_to_where_it_is_declared(
-    client, file: str, word: str, nth: int, wanted: tuple[str, str] | None
+    client, file: str, word: str, nth: int, expected: tuple[str, str] | None
 ) -> None:
     targets = await definition(client, file, word, nth)
-    if wanted is None:
+    if expected is None:
         assert targets == []
     else:
-        assert targets and targets[0][0] == wanted[0] and wanted[1] in targets[0][1], targets
+        assert targets and targets[0][0] == expected[0] and expected[1] in targets[0][1], targets
 
 
 async def references(client, file: str, word: str, declaration: bool = True) -> list[lsp.Location]:

@@ -66,18 +66,18 @@ layers: {bug: [separate, "hold(pace)", state]}
 
 
 @pytest.mark.parametrize(
-    "asked, name",
+    "opened, name",
     [
         *(("bug.ant", name) for name in ("ground", "nest", "pace", "hold", "bug")),
         *(("base.yaml", name) for name in ("ground", "nest", "home", "bug")),
         *(("child.yaml", name) for name in ("ground", "home", "hold", "pace", "bug")),
     ],
 )
-def test_a_rename_reaches_scenes_that_extend_each_other(tmp_path: Path, asked: str, name: str) -> None:
+def test_a_rename_reaches_scenes_that_extend_each_other(tmp_path: Path, opened: str, name: str) -> None:
     workspace = Workspace([tmp_path])
     for file, text in (("bug.ant", PROGRAM), ("base.yaml", BASE), ("child.yaml", CHILD), ("ground.ply", "")):
         (tmp_path / file).write_text(text, encoding="utf-8")
-    document = workspace.document(tmp_path / asked)
+    document = workspace.document(tmp_path / opened)
     assert document is not None
     offset = document.text.text.index(name)
     texts: dict[Path, str] = {}

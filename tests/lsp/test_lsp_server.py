@@ -99,7 +99,7 @@ async def test_a_scene_is_checked_with_its_program_and_again_when_that_changes(c
 
 
 async def _next(editor: Editor, uri: str) -> list[lsp.Diagnostic]:
-    """What is told about a document that was not changed itself: asking for something makes sure that it has been told."""
+    """Diagnostics of a document that was not changed itself: the answer to a request shows that they have been sent."""
     await editor.client.text_document_document_symbol_async(lsp.DocumentSymbolParams(lsp.TextDocumentIdentifier(uri)))
     return editor.known[uri][1]
 
@@ -141,7 +141,7 @@ async def test_nothing_is_said_of_documents_that_are_not_there(client) -> None:
 
 
 async def test_no_text_on_the_way_ends_the_server(client) -> None:
-    """Every prefix of an example, as if somebody typed it, and every text that lacks a stretch; asked about at each."""
+    """Every prefix of an example, as if a user typed it, and every text that lacks a stretch; with requests at each."""
     editor, path = Editor(client), client.folder / "prefixes.ant"
     text = (ROOT / "examples" / "alarm" / "alarm.ant").read_text(encoding="utf-8")
     await editor.open(path, "")

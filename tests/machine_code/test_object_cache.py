@@ -112,7 +112,7 @@ def test_a_stored_object_file_runs(folder: Path) -> None:
     stored_code = ObjectCache(folder).get(name)
     assert stored_code is not None
     numbers = (ctypes.c_double * 2)(1.5, 2.5)
-    code = load(stored_code)  # whose functions are there as long as it is
+    code = load(stored_code)  # its functions exist as long as it does
     code.function("twice")((ctypes.c_void_p * 1)(ctypes.addressof(numbers)), 1, 2)
     assert list(numbers) == [1.5, 5.0]
 

@@ -1,4 +1,4 @@
-"""Loops whose turns run eight at a time give what each turn gives by itself."""
+"""Loops that run eight turns at a time give what each turn gives alone."""
 
 from __future__ import annotations
 
@@ -199,7 +199,7 @@ def test_no_operation_is_fused(target: machine.Target) -> None:
 
 @kernel
 def reads_one_place(table: Array1[F64], at: I64, count: I64, to: Array1[F64]) -> None:
-    """Read an element that is the same for all turns where it exists: by a statement, in an expression, and behind `and`."""
+    """Read an element that does not depend on the turn where it exists: by a statement, in an expression, and behind `and`."""
     for i in independent(0, to.size):
         to[i] = 1.0
         if to[i] > 0.0 and at < count and table[at] > 0.0:

@@ -153,11 +153,11 @@ print(signing.signer(create=True).sign("", b"").hex())
 """
 
 
-@pytest.mark.parametrize("before", ["nothing", "empty"])
-def test_processes_that_begin_at_once_have_one_key(home: Path, before: str) -> None:
+@pytest.mark.parametrize("previous_key", ["nothing", "empty"])
+def test_processes_that_begin_at_once_have_one_key(home: Path, previous_key: str) -> None:
     """However many create it: all but one find the name taken, and read what that one wrote. One that a damaged key is replaced
     by lasts as well."""
-    if before == "empty":
+    if previous_key == "empty":
         signature()
         signing.key_file().write_bytes(b"")
     command = [sys.executable, "-c", _STARTER, str(home)]
@@ -173,7 +173,7 @@ def test_processes_that_begin_at_once_have_one_key(home: Path, before: str) -> N
         key_texts.append(out.strip())
     key = signing.signer(create=False)
     assert key is not None and key.sign("", b"").hex() in key_texts
-    assert before == "empty" or len(set(key_texts)) == 1
+    assert previous_key == "empty" or len(set(key_texts)) == 1
     assert [each.name for each in signing.key_file().parent.iterdir()] == ["key"]
 
 

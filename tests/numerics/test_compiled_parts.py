@@ -1,4 +1,4 @@
-"""Parts of a crowd on threads: asked for within parts, after a fork, of no thread, and interrupted."""
+"""Parts of a crowd on threads: requested within parts, after a fork, without threads, and interrupted."""
 
 import os
 import signal
@@ -35,7 +35,7 @@ def test_parts_come_in_order_whatever_the_number_of_threads(threads: int) -> Non
 
 
 def test_nested_parts_do_not_wait_for_free_threads() -> None:
-    """Many crowds step at once, each of whose parts asks for parts: nobody may be free to take these."""
+    """Many crowds step at once, and each of their parts requests parts: perhaps no thread is free for these."""
     results: dict[int, list[list[int]]] = {}
 
     def crowd(number: int) -> None:

@@ -1,4 +1,4 @@
-"""When kernels are begun with, and what becomes of the code that another run has kept."""
+"""When kernels are compiled, and what becomes of the code that another run has stored."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def test_stored_kernels_are_used_until_a_number_elsewhere_changes(folder: Path, 
         assert bool(compilations) != hit and kernel.has_code()
 
 
-CHANGES: list[tuple[str, str, str, float, bool]] = [  # file, what is there, what instead; what comes out; whether of kept code
+CHANGES: list[tuple[str, str, str, float, bool]] = [  # file, what is there, what instead; what comes out; whether of stored code
     ("kernel_other", "2 * x", "2 * x", 6.0, True),
     ("kernel_other", "return 2 * x", "return 3 * x", 8.0, False),  # as long as before
     ("kernel_value", "return twice(x) + NUMBER", "return twice(x) - NUMBER", 4.0, False),
@@ -77,9 +77,9 @@ CHANGES: list[tuple[str, str, str, float, bool]] = [  # file, what is there, wha
 ]
 
 
-@pytest.mark.parametrize(("file", "before", "after", "found", "hit"), CHANGES)
+@pytest.mark.parametrize(("file", "old", "new", "expected", "hit"), CHANGES)
 def test_a_kernel_is_known_by_the_sources_of_all_that_it_reaches(
-    folder: Path, monkeypatch: pytest.MonkeyPatch, file: str, before: str, after: str, found: float, hit: bool
+    folder: Path, monkeypatch: pytest.MonkeyPatch, file: str, old: str, new: str, expected: float, hit: bool
 ) -> None:
     other = folder / "kernel_other.py"
     other.write_text(OTHER + "@inlined\ndef other(x):\n    return 3 * x + NUMBER\n")
@@ -87,12 +87,12 @@ def test_a_kernel_is_known_by_the_sources_of_all_that_it_reaches(
     value.write_text(KERNEL.replace("import F64", "import F64, I64"))
     assert load(folder, monkeypatch)(2) == 6
     text = (folder / f"{file}.py").read_text()
-    assert before in text
-    (folder / f"{file}.py").write_text(text.replace(before, after))
+    assert old in text
+    (folder / f"{file}.py").write_text(text.replace(old, new))
     kernel, written, write = load(folder, monkeypatch), [], Kernel.text
     monkeypatch.setattr(Kernel, "text", lambda self, *target: written.append(self) or write(self, *target))
     assert kernel.has_code() == hit and not written
-    assert kernel(2) == found
+    assert kernel(2) == expected
     assert len(written) == (not hit), "code that is kept is used without its text, other code is written"
 
 

@@ -151,7 +151,7 @@ species a {
 
 
 def run(plan: ir.Plan, backend: str, threads: int, steps: int = 6) -> list[str]:
-    """The states of a crowd whose values become denormal, then zero."""
+    """The states of a crowd with values that become denormal, then zero."""
     options = Options(backend=backend, threads=threads, chunk=40, wait_for_code=True)  # type: ignore[arg-type]
     world = bind(plan, Setting(fps=Fraction(10), crowds=(crowd(90, radius=40),)), options)
     hashes, denormal = [state_hash(world)], False

@@ -1,4 +1,4 @@
-"""Kernels in a subset of Python: the same as the function run plainly, and what is not in the subset is told."""
+"""Kernels in a subset of Python: the same as the function run plainly, and code outside the subset is reported."""
 
 from __future__ import annotations
 
@@ -252,10 +252,10 @@ def test_literals_take_the_type_of_the_other_number() -> None:
     assert np.array_equal(y, np.where(x > 0, (1 - x * np.float32(0.5)) / np.float32(3), np.float32(2)))
 
 
-@pytest.mark.parametrize("made", NOT_IN_SUBSET, ids=lambda each: str(each.__name__))
-def test_code_outside_the_subset_is_reported_with_its_line(made: Any) -> None:
-    with pytest.raises(NotInSubset, match=f"line [0-9]+, `{made.__name__}`"):
-        made.text()
+@pytest.mark.parametrize("function", NOT_IN_SUBSET, ids=lambda each: str(each.__name__))
+def test_code_outside_the_subset_is_reported_with_its_line(function: Any) -> None:
+    with pytest.raises(NotInSubset, match=f"line [0-9]+, `{function.__name__}`"):
+        function.text()
 
 
 def test_code_that_is_forgotten_stays_where_it_is_called() -> None:

@@ -62,7 +62,7 @@ def test_neighbouring_cells_have_nothing_in_common() -> None:
 
 
 def test_bits_are_those_of_the_paper() -> None:
-    """pcg4d worked out in whole numbers."""
+    """pcg4d computed in whole numbers."""
 
     def plain(v: list[int]) -> list[int]:
         v = [(x * 1664525 + 1013904223) & 0xFFFFFFFF for x in v]

@@ -24,7 +24,7 @@ def table(count: int) -> tuple[NDArray[np.int64], Columns]:
 
 
 def hashed_rows(ids: np.ndarray, columns: dict[str, np.ndarray]) -> bytes:
-    """What a digest takes in of columns whose last axis has the agents: names, types and the hash of the rows."""
+    """What a digest takes in of columns with agents on the last axis: names, types and the hash of the rows."""
     parts = [part for column in columns.values() for part in column.reshape(-1, len(ids))] if len(ids) else []
     return row_hash.describe_columns(tuple(columns), columns.values()) + row_hash.row_hash(ids, parts)
 
@@ -126,7 +126,7 @@ def test_tables_that_differ_little_have_numbers_that_differ_much() -> None:
 
 
 def test_numbers_are_these() -> None:
-    """What is kept by one version is held against by another, on any processor."""
+    """Another version compares with what one version stored, on any processor."""
     ids, columns = np.array([3, 1], np.int64), {"x": np.array([1.5, -0.0]), "n": np.array([7, 9], np.int32)}
     assert row_hash.row_hash(ids, list(columns.values())).hex() == "6c6528ad5946376db350e10234b09e90"
     assert row_hash.row_hash(None, [np.array([0.0, 1.0])]).hex() == "0609ad30bccd182a2c957d93e52e48cf"

@@ -1,4 +1,4 @@
-"""Threads that wait in machine code: every part is done once, whoever asks for it, and nothing is left behind."""
+"""Threads that wait in machine code: every part is done once, for any caller, and nothing is left behind."""
 
 from __future__ import annotations
 
@@ -152,14 +152,14 @@ def test_the_first_failing_part_raises_after_all_running_parts_have_ended(thread
     assert parallel.in_parts(lambda a, b: b - a, 10, 2, 1) == [5, 5]
 
 
-@pytest.mark.parametrize("begun", (False, True))
-def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(begun: bool) -> None:
+@pytest.mark.parametrize("is_running", (False, True))
+def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(is_running: bool) -> None:
     pool, start_event = workers.Workers(2), threading.Event()
     start = pool._start
     at_work, ended = [], []
 
     def interrupted(*words: int) -> None:
-        if begun:
+        if is_running:
             start(*words)
             start_event.wait(60)
         raise KeyboardInterrupt
@@ -173,7 +173,7 @@ def test_who_is_interrupted_as_a_job_starts_waits_for_what_has_begun(begun: bool
     pool._start = interrupted  # type: ignore[assignment]
     with pytest.raises(KeyboardInterrupt):
         pool.do(work, 2)
-    assert bool(ended) == begun and len(at_work) == len(ended) and not pool._words[workers_text.LEFT] % 2**32
+    assert bool(ended) == is_running and len(at_work) == len(ended) and not pool._words[workers_text.LEFT] % 2**32
     pool._start = start
     pool.do(work, 2)
     assert ended.count(0) == 1

@@ -190,16 +190,16 @@ def test_meshes_over_time_in_usd(cache: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("a.npz", "--ids", "3-5"), "3,8..12"), (("a.npz", "--ids", "5..3"), "3,8..12"),
         (("a.ply", "--as", "solids"), "no solid"),
         (("a.npz", "--as", "volume"), "no solid"),
     ],
 )  # fmt: skip
-def test_impossible_exports_are_reported(cache: Path, tmp_path: Path, words: tuple[str, ...], told: str) -> None:
+def test_impossible_exports_are_reported(cache: Path, tmp_path: Path, words: tuple[str, ...], message: str) -> None:
     process = run("export", str(cache), "--to", *words, cwd=tmp_path)
-    assert process.returncode in (1, 2) and told in process.stderr and not list(tmp_path.iterdir())
+    assert process.returncode in (1, 2) and message in process.stderr and not list(tmp_path.iterdir())
 
 
 def test_agents_that_never_live_leave_an_empty_file_and_a_note(cache: Path, tmp_path: Path) -> None:

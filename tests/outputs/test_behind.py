@@ -1,4 +1,4 @@
-"""Writing behind the simulation: in order, nothing lost where the disk stalls, and every way in which it may fail is told."""
+"""Writing behind the simulation: in order, nothing lost where the disk stalls, and every possible failure is reported."""
 
 from __future__ import annotations
 

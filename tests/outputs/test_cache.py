@@ -275,7 +275,7 @@ def test_the_summary_of_a_run_that_goes_on_is_of_all_frames(tmp_path: Path) -> N
     as_before(folder)
     line = read_lines(folder / HASHES)[12]
     arrays = dict(read_npz(checkpoint_path(folder, 12)))
-    arrays.pop(SURFACE_ERROR)  # as before it was kept
+    arrays.pop(SURFACE_ERROR)  # as before it was stored
     checkpoint_path(folder, 12).write_bytes(to_bytes(arrays))
     with open(folder / HASHES, "ab") as hashes:
         hashes.write(replace(line, checkpoint="").text(12))
@@ -333,7 +333,7 @@ def in_line_of(folder: Path, frame: int) -> int:
     return (begin + text.index(b"\n", begin)) // 2
 
 
-# What may happen to a cache of 60 frames with checkpoints at 1, 9, 17, …; the frame that a run goes on after; what is told.
+# What may happen to a cache of 60 frames with checkpoints at 1, 9, 17, …; the frame that a run goes on after; the message.
 DAMAGE: dict[str, tuple[Callable[[Path], object], int | None, str]] = {
     "nothing": (lambda f: None, 60, ""),
     "a frame cut off": (lambda f: os.truncate(frame_path(f, 12), 100), 9, "frame.0012.npz` is not what was written there"),
@@ -409,7 +409,7 @@ def test_damage_in_a_cache_is_reported_and_repaired(unbroken: tuple[Path, dict[i
 
 
 def as_before(folder: Path) -> None:
-    """A cache whose files have hashes of all their bytes, as they had before these were made of headers."""
+    """A cache of files with hashes of all their bytes, as they had before these were made of headers."""
 
     def of(begin: str, path: Path) -> str:
         return sha256(begin.encode() + path.read_bytes()).hexdigest()[:32]
@@ -512,7 +512,7 @@ def test_a_damaged_frame_is_reported_and_rewritten(tmp_path: Path) -> None:
 
 
 def test_a_link_where_a_file_is_being_written_is_not_followed(tmp_path: Path) -> None:
-    """A cache of somebody else may have one, and it would lead to a file of whoever goes on with it."""
+    """A cache of another user may have one, and it would lead to a file of the user who continues it."""
     mine = tmp_path / "mine.txt"
     mine.write_text("mine")
     (tmp_path / ".a.npz.part").symlink_to(mine)
@@ -549,16 +549,16 @@ def test_a_forged_checkpoint_is_refused_and_reads_no_other_memory(
         restore(world, {**arrays, **STRANGE[kind](arrays)})  # type: ignore[dict-item]
 
 
-@pytest.mark.parametrize("after", sampled([0, 7, 22, 43], [7, 22]))
+@pytest.mark.parametrize("last_frame", sampled([0, 7, 22, 43], [7, 22]))
 def test_a_run_killed_at_any_instant_ends_with_the_same_hashes(
-    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, after: int
+    unbroken: tuple[Path, dict[int, str]], tmp_path: Path, last_frame: int
 ) -> None:
     """Killed as soon as some frame is there, in the midst of whatever comes next; a half-written file is left behind as well."""
     scene = project(tmp_path / "p")
     folder = scene.parent / "out" / "scene"
     run = start(scene)
     began = time.monotonic()
-    awaited_path = folder if after == 0 else frame_path(folder, after)
+    awaited_path = folder if last_frame == 0 else frame_path(folder, last_frame)
     while not awaited_path.exists() and run.poll() is None and time.monotonic() - began < 30:
         time.sleep(0.0005)
     run.send_signal(signal.SIGKILL)
@@ -661,7 +661,7 @@ def test_a_run_begins_where_another_cache_was(unbroken: tuple[Path, dict[int, st
 
 
 @pytest.mark.parametrize("words", sampled([(), ("--profile", "--summary", "s.json")], [()]))
-def test_a_run_whose_output_is_not_read_continues_to_its_end(tmp_path: Path, words: tuple[str, ...]) -> None:
+def test_a_run_without_a_reader_of_its_output_continues_to_its_end(tmp_path: Path, words: tuple[str, ...]) -> None:
     """As with `| head -1`."""
     scene = project(tmp_path / "p")
     run = start(scene, "--frames", "1..6", *words)

@@ -1,4 +1,4 @@
-"""`camera: fit` holds the whole crowd in every frame that is drawn, and is written and told of like other cameras."""
+"""`camera: fit` holds the whole crowd in every frame that is drawn, and is written and reported like other cameras."""
 
 from __future__ import annotations
 

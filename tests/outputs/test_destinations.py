@@ -1,4 +1,4 @@
-"""A name that cannot be written is told before the work begins, with its flag and an exit code, and never as a traceback."""
+"""A name that cannot be written is reported before the work begins, with its flag and an exit code, and never as a traceback."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MINIMAL = Path(__file__).resolve().parents[2] / "examples" / "minimal"
 
 @pytest.fixture
 def shot(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A scene, a file and a folder; whoever simulates a step fails the test."""
+    """A scene, a file and a folder; a simulated step fails the test."""
     for name in ("walker.ant", "ground.ply", "scene.yaml"):
         shutil.copy(MINIMAL / name, tmp_path)
     program = (tmp_path / "walker.ant").read_text(encoding="utf-8")
@@ -106,15 +106,15 @@ def test_no_result_takes_the_place_of_what_it_is_made_from(shot: Path, words: tu
     assert contents(shot) == initial_contents
 
 
-@pytest.mark.parametrize("there", ["-", "/dev/stdout"])
-def test_a_result_may_go_to_standard_output_alone(shot: Path, monkeypatch: pytest.MonkeyPatch, there: str) -> None:
+@pytest.mark.parametrize("output", ["-", "/dev/stdout"])
+def test_a_result_may_go_to_standard_output_alone(shot: Path, monkeypatch: pytest.MonkeyPatch, output: str) -> None:
     monkeypatch.undo()
     monkeypatch.chdir(shot)
-    result = invoke("run", "scene.yaml", "--frames", "1..2", "--profile", "--summary", there)
+    result = invoke("run", "scene.yaml", "--frames", "1..2", "--profile", "--summary", output)
     assert result.exit_code == 0 and json.loads(result.stdout)["frames"] == 2 and "the cache is in" in result.stderr
-    result = invoke("test", ".", "--json", there)
+    result = invoke("test", ".", "--json", output)
     assert result.exit_code == 0 and json.loads(result.stdout)["passed"] == 1 and "1 passed" in result.stderr
-    assert invoke("graph", "walker.ant", "--format", "dot", "--out", there).stdout.startswith("digraph")
+    assert invoke("graph", "walker.ant", "--format", "dot", "--out", output).stdout.startswith("digraph")
     assert not (shot / "-").exists()
 
 
@@ -179,7 +179,7 @@ def test_trying_leaves_everything_as_it_was(tmp_path: Path) -> None:
 
 
 def _beside(folder: Path) -> tuple[Path, Path]:
-    """A file of the user and a pipe that nobody reads, named as what is written might be named."""
+    """A file of the user and a pipe without a reader, named as what is written might be named."""
     (folder / ".x.json.part").write_text("mine")
     os.mkfifo(folder / ".antdsl.part")
     return folder / ".x.json.part", folder / ".antdsl.part"

@@ -54,7 +54,7 @@ def test_an_even_turn_stays_and_a_jerk_is_spread() -> None:
     steps = np.arange(21.0)
     frames = frames_of(np.stack([0.1 * steps, (steps >= 10) * 1.0, 0.3 * (-1.0) ** steps], axis=1))
     angles = np.array([angle_of(smooth_frame(frames, k, 9)) for k in range(21)])
-    assert angles[:, 0] == pytest.approx(0.1 * steps, abs=1e-6)  # nobody lags, at the ends neither
+    assert angles[:, 0] == pytest.approx(0.1 * steps, abs=1e-6)  # no agent lags, also not at the ends
     assert (
         np.diff(angles[:, 1]).max() < 0.25 and (np.diff(angles[:, 1]) > -1e-6).all() and angles[9:11, 1].sum() == pytest.approx(1)
     )

@@ -126,7 +126,7 @@ def test_a_run_that_another_one_overtook_writes_nothing(unbroken: Path, tmp_path
 
 
 @pytest.mark.parametrize(
-    ("words", "shown"),
+    ("words", "expected"),
     [
         (b"", "process ?"),
         (b"1\n", "process 1 is"),
@@ -136,14 +136,14 @@ def test_a_run_that_another_one_overtook_writes_nothing(unbroken: Path, tmp_path
     ],
 )
 def test_a_lock_that_is_held_is_not_waited_for_unless_its_process_is_known_to_be_gone(
-    tmp_path: Path, words: bytes, shown: str
+    tmp_path: Path, words: bytes, expected: str
 ) -> None:
     """Of an empty file, a process that runs, one of another host or container, and nonsense."""
     with FolderLock(tmp_path):
         (tmp_path / LOCK).write_bytes(words)
         with (
             patch("antdsl.outputs.cache.lock._PATIENCE", 0.05),
-            pytest.raises(FolderLocked, match=re.escape(shown)) as error_info,
+            pytest.raises(FolderLocked, match=re.escape(expected)) as error_info,
         ):
             FolderLock(tmp_path).__enter__()
         assert error_info.value.args[0].isprintable()

@@ -73,7 +73,7 @@ def test_lines_with_other_feet_are_not_gone_on_from(scene: Path, tmp_path: Path)
 
 
 def test_a_checkpoint_with_other_feet_is_not_gone_on_from(scene: Path, tmp_path: Path) -> None:
-    """In a cache whose files have hashes of all their bytes, which know nothing of feet."""
+    """In a cache of files with hashes of all their bytes, which know nothing of feet."""
     out = tmp_path / "out"
     ran(scene, out, 5)
     hashes = out / "hashes.jsonl"
@@ -105,7 +105,7 @@ def test_drawn_feet_are_where_frames_have_them_and_each_frame_stands_alone(cache
         assert np.array_equal(points, alone.worn.posed(alone.plays, len(every), alone.feet_beside(every))[0])  # type: ignore[union-attr]
         turned = np.einsum("nij,nvj->nvi", rotation_matrices(crowd.orient), points * crowd.scale[:, None, None])
         world = turned + crowd.position[:, None]
-        # Each foot that stands has a vertex of its own shape within the shape's size of it, and no vertex of the body far below.
+        # Each foot that stands has a vertex of its shape within the shape's size of it, and no vertex of the body far below.
         for k in range(6):
             away = np.linalg.norm(world - crowd.feet.P[:, k, None], axis=2).min(axis=1)
             assert away[crowd.feet.down[:, k] != 0].max() < 0.02 * stick_bodies.SIZE

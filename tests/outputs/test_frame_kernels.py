@@ -116,12 +116,12 @@ def test_what_agents_play(three: bool) -> None:
     now["m.clip_earlier_fade"] = (now["m.clip_fade"] > 0).astype(np.float32) * np.float32(three)
     plan = SimpleNamespace(machines=[SimpleNamespace(name="m")], registers={"m.clip": None})
 
-    class Some(SimpleNamespace):
+    class Subset(SimpleNamespace):
         def __len__(self) -> int:
             return 300
 
     rows = np.argsort(ids)
-    population = Some(name="ant", plan=plan, now=now, id_ranks=lambda: ids.astype(np.int32), in_id_order=lambda: rows)
+    population = Subset(name="ant", plan=plan, now=now, id_ranks=lambda: ids.astype(np.int32), in_id_order=lambda: rows)
     clip_arrays = clips_playing(population)  # type: ignore[arg-type]
     assert list(clip_arrays) == [f"clips.ant.m.{field}" for field in _REGISTERS if three or field not in EARLIER]
     for name, array in clip_arrays.items():

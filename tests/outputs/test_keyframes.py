@@ -193,7 +193,7 @@ def test_an_xform_an_agent_is_read_back(cache: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("keys.csv", "xforms"), "keyframes"),
         (("keys.usda", "points"), "xforms"),
@@ -201,6 +201,6 @@ def test_an_xform_an_agent_is_read_back(cache: Path, tmp_path: Path) -> None:
         (("keys.xyz", "xforms"), ".csv"),
     ],
 )
-def test_unknown_forms_are_reported(cache: Path, tmp_path: Path, words: tuple[str, str], told: str) -> None:
+def test_unknown_forms_are_reported(cache: Path, tmp_path: Path, words: tuple[str, str], message: str) -> None:
     result = RUN.invoke(app, ["export", str(cache), "--to", str(tmp_path / words[0]), "--as", words[1]])
-    assert result.exit_code == 2 and told in result.output and not list(tmp_path.iterdir())
+    assert result.exit_code == 2 and message in result.output and not list(tmp_path.iterdir())

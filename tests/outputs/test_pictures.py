@@ -303,8 +303,8 @@ def test_a_view_from_straight_above_has_one_scale():
     assert image.std() > 5
 
 
-@pytest.mark.parametrize(("look", "seen"), [("metal", "grey"), ("leaf", "green"), ("soil", "brown"), ("light", "bright")])
-def test_things_look_as_what_the_scene_says_they_are_made_of(look, seen):
+@pytest.mark.parametrize(("look", "expected"), [("metal", "grey"), ("leaf", "green"), ("soil", "brown"), ("light", "bright")])
+def test_things_look_as_what_the_scene_says_they_are_made_of(look, expected):
     vertices, faces = sphere(3)
     kind = {"soil": "hill"}.get(look, look)
     pictures = (
@@ -319,7 +319,7 @@ def test_things_look_as_what_the_scene_says_they_are_made_of(look, seen):
             "brown": r > 1.15 * g > 1.2 * b,
             "bright": min(r, g, b) > 215,
         }
-        assert colour_checks[seen], (look, r, g, b)
+        assert colour_checks[expected], (look, r, g, b)
 
 
 def test_ground_has_grain_from_afar_and_from_near():

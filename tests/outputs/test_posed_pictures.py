@@ -1,4 +1,4 @@
-"""Bodies posed in pictures: of the cache alone, each frame by itself, and where the agents are."""
+"""Bodies posed in pictures: of the cache alone, each frame alone, and where the agents are."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FRAMES = 40
 
 @pytest.fixture(scope="module")
 def cache(tmp_path_factory: pytest.TempPathFactory) -> Cache:
-    """40 frames of the example, in a folder whose scene is gone by the time that anybody looks."""
+    """40 frames of the example, in a folder, with the scene removed afterwards."""
     folder = tmp_path_factory.mktemp("walker")
     for path in EXAMPLE.iterdir():
         shutil.copy(path, folder / path.name)

@@ -1,4 +1,4 @@
-"""`look` of a scene: said for meshes and items, kept in the cache, drawn; a word that is none is told with those there are."""
+"""`look` of a scene: set for meshes and items, stored in the cache, drawn; an unknown word is reported with the known ones."""
 
 from __future__ import annotations
 

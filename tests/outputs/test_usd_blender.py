@@ -30,7 +30,7 @@ BLENDER = Path(__file__).with_name("blender_still.py")
 
 @pytest.fixture(scope="module")
 def python() -> str:
-    """A Python that has Blender. It is a process of its own, since Blender has another USD in it."""
+    """A Python that has Blender. It is a separate process, since Blender has another USD in it."""
     if find_spec("bpy") is not None:
         return sys.executable
     return os.environ.get("BLENDER_PYTHON") or pytest.skip("there is no Blender (bpy)")

@@ -89,7 +89,7 @@ def breeders(tmp_path_factory: pytest.TempPathFactory) -> Cache:
 
 @pytest.fixture(scope="module")
 def carriers(tmp_path_factory: pytest.TempPathFactory) -> Cache:
-    """Ants that take up a load, each in a frame of its own."""
+    """Ants that take up a load, each in a different frame."""
     folder = tmp_path_factory.mktemp("carriers")
     shutil.copy(WALKER / "hill.ply", folder / "hill.ply")
     (folder / "carry.ant").write_text(CARRIERS)

@@ -89,15 +89,15 @@ def test_the_rest_of_a_member_is_not_copied() -> None:
     assert any(isinstance(part, memoryview) and np.shares_memory(np.frombuffer(part, np.uint8), array) for part in npz_data.parts)
 
 
-@pytest.mark.parametrize("once", [1, 7, 300, None])
+@pytest.mark.parametrize("part_size", [1, 7, 300, None])
 @pytest.mark.parametrize("most", [1, 3, 1000])
-def test_parts_are_written_whole(once: int | None, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """`once`: bytes that the system takes at once; None where it takes no parts."""
+def test_parts_are_written_whole(part_size: int | None, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """`part_size`: bytes that the system takes at once; None where it takes no parts."""
     monkeypatch.setattr("antdsl.whole._AT_ONCE", most)
-    if once is None:
+    if part_size is None:
         monkeypatch.delattr(os, "writev", raising=False)
     else:
-        monkeypatch.setattr(os, "writev", lambda file, buffers: os.write(file, b"".join(buffers)[:once]), raising=False)
+        monkeypatch.setattr(os, "writev", lambda file, buffers: os.write(file, b"".join(buffers)[:part_size]), raising=False)
     write_atomically(tmp_path / "a.npz", parts(), sync=True)
     assert (tmp_path / "a.npz").read_bytes() == b"".join(parts())
     write_atomically(tmp_path / "a.npz", b"shorter", sync=False)

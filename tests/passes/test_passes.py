@@ -145,7 +145,7 @@ def test_every_pass_says_what_it_does_and_stands_in_the_docs_in_order():
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case.stem)
 def test_printed_plans(case, request):
-    """`pytest --update` writes them anew; the difference is for a person to read."""
+    """`pytest --update` writes them again; read the difference."""
     text = show(optimise(plan_of(case.read_text(), world="")))
     golden = case.with_suffix(".plan")
     if request.config.getoption("--update", default=False):

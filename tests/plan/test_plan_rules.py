@@ -25,7 +25,7 @@ def test_every_operation_of_the_vocabulary_has_a_rule():
 
 
 def one(expression: str, **senses) -> Agent:
-    """An agent whose attribute `x` becomes the expression, after one step."""
+    """An agent with the expression as its attribute `x`, after one step."""
     return Agent(plan_of(f"species a {{\nx = 0\nstart s\nstate s {{ x = {expression} }}\n}}\n"), "a", **senses).step()
 
 
@@ -92,7 +92,7 @@ def item(expression: str, row: int = 0, members: str = "") -> float:
 
 
 @pytest.mark.parametrize(
-    ("expression", "there", "none"),
+    ("expression", "present", "none"),
     [
         ("if distance(f) > 4.9 mm then min(distance(f) / 1 mm, 100) else 0", 5, 100),
         ("dot(direction(f), heading)", 0.6, 0),
@@ -105,8 +105,8 @@ def item(expression: str, row: int = 0, members: str = "") -> float:
         ("length(velocity(f)) / 1 mm/s", 0, 0),
     ],
 )
-def test_places_are_there_or_none(expression, there, none):
-    assert item(expression) == pytest.approx(there)
+def test_places_are_there_or_none(expression, present, none):
+    assert item(expression) == pytest.approx(present)
     assert item(expression, -1) == pytest.approx(none)
 
 

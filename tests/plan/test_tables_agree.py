@@ -36,7 +36,7 @@ from antdsl.syntax.verbs import VERBS
 from antdsl.syntax.words import WORLD_KINDS
 
 OF_THE_AGENT = {"id", "age", "draw", "draw.agent", "event", "surface.touching"}  # what a step knows of it already
-OF_OTHERS = {"agent.get", "agent.age", "agent.alive", "item.get", "item.alive"}  # references, asked by the way
+OF_OTHERS = {"agent.get", "agent.age", "agent.alive", "item.get", "item.alive"}  # references, queried in passing
 
 
 def test_every_sense_has_an_operation_and_a_function() -> None:
@@ -104,7 +104,7 @@ def test_every_effect_is_lowered_and_settled() -> None:
     names = {name for name, _ in phases.PHASES}
     for op, row in EFFECTS.items():
         assert op == row.op and row.phase in names and row.optional <= set(row.operands)
-        arguments = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil", "whom": "ant"}
+        arguments = {**dict.fromkeys(row.operands, "1"), "of": "it", "own": "soil", "receiver": "ant"}
         assert "{" not in effects.fill_template(row.plan_text, arguments) + effects.fill_template(row.trace, arguments)
         assert not row.above_0 or row.refused
         assert bool(row.computed) == (op in OPERANDS) and len(row.args) - len(row.numbers) <= 1

@@ -372,7 +372,7 @@ def test_blend_shapes_are_drawn_as_a_body_of_that_shape(page: Stage) -> None:
 
 
 def test_materials_have_the_colours_that_antdsl_draws_by_id(page: Stage) -> None:
-    """One agent alone in the view has the picture of a body whose material has that colour for all."""
+    """One agent alone in the view has the picture of a body with a material of that colour for all."""
     slate, ends = {"slate": (0.5, 0.5, 0.5)}, ((0.9, 0.0, 0.0), (0.0, 0.0, 0.9), (0.0, 0.9, 0.0))
     box = replace(crane().shapes["box"], materials=("slate",), material=np.zeros(12, np.int32))
     varied = replace(crane(), materials=slate, shapes={"box": box}, variation=Variation({}, {"slate": ends}))

@@ -1,4 +1,4 @@
-"""The panels of the preview's page, in a browser: what they show of what they are told, and what they ask when one uses them."""
+"""The panels of the preview's page, in a browser: what they show of messages, and what they request when a user uses them."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_the_bar_says_where_it_is_and_plays(page: Stage) -> None:
 
 def test_play_and_pause_follow_the_latest_request_while_a_step_takes_long(page: Stage) -> None:
     page.find("play").click()
-    assert "pause" in page.find("play").inner_text()  # nothing was told yet
+    assert "pause" in page.find("play").inner_text()  # no message was sent yet
     page.find("play").click()
     page.find("play").click()
     page.drawn()

@@ -1,4 +1,4 @@
-"""Planned paths: what a session will do if nobody edits it, to the bit, and the session none the wiser."""
+"""Planned paths: what a session will do without edits, to the bit, with no change of the session."""
 
 from __future__ import annotations
 

@@ -432,7 +432,7 @@ def test_steps_on_end_stop_as_well(scene: Path) -> None:
 
 @pytest.mark.parametrize("on_fault", ["stop", "quarantine"])
 def test_behind_a_fault_it_is_explained_as_it_went_on(scene: Path, on_fault: Any) -> None:
-    """A session that stops at faults goes on when it is asked to, and nobody is set aside in it."""
+    """A session that stops at faults goes on when it is requested to, and no agent is set aside in it."""
     edit(scene, "load += 1", "load += 1 / (load * 0)")
     driver = Driver(scene, every=50, options=Options(on_fault=on_fault))
     driver.play(30)

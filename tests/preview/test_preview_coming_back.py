@@ -1,5 +1,5 @@
-"""A page and its server part and meet again: an old page loads itself anew, a server that is gone is told of, one that is started
-again is come back to, and a connection that breaks is made again."""
+"""A page and its server part and meet again: an old page reloads, a stopped server is reported, and the page
+reconnects to a restarted server or after a broken connection."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def test_a_page_comes_back_to_a_server_that_is_started_again_on_its_port(
         assert not any(key in page.evaluate("() => JSON.stringify([{...sessionStorage}, {...localStorage}])") for key in keys)
         page.reload()  # it has the new token
         page.wait_for_function(FRESH, timeout=60_000)
-    place.unlink()  # nobody knows it any more
+    place.unlink()  # no page knows it any more
     with previewed(scene, "--port", port) as last:
         page.wait_for_function(f"() => String(({STALE})()).includes('terminal')", timeout=60_000)
         page.goto("about:blank")

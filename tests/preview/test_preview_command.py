@@ -35,7 +35,7 @@ class Started:
     process: Process
     address: str
     token: str
-    words: str  # what it printed besides
+    words: str  # what else it printed
 
     def connect(self, address: str = "", **other: Any) -> connect:
         base = address or self.address
@@ -127,7 +127,7 @@ def test_a_scene_is_watched_edited_and_left(tmp_path: Path) -> None:
             assert [each["name"] for each in scene["species"]] == ["walker"]
             texts = await hear(page, lambda m: m["op"] == "texts")
             assert WALKER in [each["text"] for each in texts["texts"]]
-            assert str(tmp_path) not in json.dumps([scene, texts])  # where somebody keeps files is nobody's business
+            assert str(tmp_path) not in json.dumps([scene, texts])  # paths of the user stay private
             await page.send('{"op": "play"}')
             frames = [(await hear(page, is_frame))["frame"] for _ in range(10)]
             assert frames == sorted(frames) and frames[-1] > frames[0]
@@ -169,7 +169,7 @@ def test_mistakes_at_the_start_are_shown_and_the_ants_come_once_they_are_mended(
             assert (await hear(page, lambda m: m["op"] == "scene" and bool(m["species"])))["species"]
             assert (await hear(page, is_frame))["rows"] > 0
             code, said = await ended(preview.process, signal.SIGTERM)
-            assert code == 0 and "wonder" in said  # the terminal told of it too
+            assert code == 0 and "wonder" in said  # the terminal reported it too
 
     go(test)
 

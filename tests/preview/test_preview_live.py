@@ -211,8 +211,8 @@ def test_too_much_at_once_is_refused(scene: Path) -> None:
     live.leave(page)  # always possible
 
 
-@pytest.mark.parametrize("asked", [100, pytest.param(1000, marks=pytest.mark.slow)])
-def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, asked: int) -> None:
+@pytest.mark.parametrize("count", [100, pytest.param(1000, marks=pytest.mark.slow)])
+def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, count: int) -> None:
     """Two pages, a saved file now and then, and in the end the run is that of a fresh one."""
     draw = np.random.Generator(np.random.Philox(5))
     program = scene.with_name("forager.ant")
@@ -241,7 +241,7 @@ def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, asked:
         lambda: ("breaks", {"breaks": pick([], [{"kind": "fault"}, {"kind": "condition", "text": "count(forager) > 3"}])}),
         lambda: ("profile", {"on": bool(draw.integers(2))}),
     )  # fmt: skip
-    for _ in range(asked):
+    for _ in range(count):
         op, what = asks[int(draw.integers(len(asks)))]()
         page = pages[int(draw.integers(2))]
         with contextlib.suppress(QueueFull):
@@ -254,7 +254,7 @@ def test_no_sequence_of_requests_breaks_anything(live: Live, scene: Path, asked:
         time.sleep(float(draw.random()) * 0.02)
     program.write_text(good)
     page = Page(live)
-    while True:  # on a slow machine all that was asked may still be waiting
+    while True:  # on a slow machine all requests may still be waiting
         try:
             page.ask("pause")
             break

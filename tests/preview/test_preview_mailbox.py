@@ -143,7 +143,7 @@ def test_nothing_is_lost_or_turned_round_between_two_threads() -> None:
     with_mailbox(test)
 
 
-def test_a_mailbox_whose_loop_has_ended_accepts_messages() -> None:
+def test_a_mailbox_accepts_messages_after_the_end_of_its_loop() -> None:
     mailboxes: list[Mailbox] = []
 
     async def test(mailbox: Mailbox, full: list[str]) -> None:

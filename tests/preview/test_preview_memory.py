@@ -231,7 +231,7 @@ def test_the_box_about_all_stays_while_agents_fly_out_of_it(scene: Path) -> None
     assert box.of(session) != first
 
 
-def test_each_page_learns_whose_feelers_are_whose(scene: Path) -> None:
+def test_each_page_learns_which_agent_each_feeler_belongs_to(scene: Path) -> None:
     live = Live.open(scene, watch=False)
     live.start()
     pages = [Page(live), Page(live)]

@@ -1,4 +1,4 @@
-"""Who is let in again after a server was started again: who proves a key that an earlier start gave out, and nobody else."""
+"""After a restart, a server admits only pages that prove a key of an earlier start."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_a_server_lets_in_who_proves_a_key_and_tells_the_token(tmp_path: Path) -
         host = f"127.0.0.1:{listening.port}"
 
         async def come(answer: str | None, origin: str | None = f"http://{host}") -> list[dict[str, str]]:
-            """What one is told who answers so; `{nonce}` stands for a right proof."""
+            """The reply to a client that answers so; `{nonce}` stands for a right proof."""
             messages = []
             try:
                 options: dict[str, Any] = {"origin": origin, "subprotocols": ["antdsl.1", "token.old"], "proxy": None}

@@ -1,4 +1,4 @@
-"""The server lets in the page that the terminal named and nobody else, and whoever is let in can only ask what a page may ask."""
+"""The server admits only the page that the terminal named, and an admitted page can only send the requests of a page."""
 
 from __future__ import annotations
 
@@ -267,7 +267,7 @@ def test_markup_in_a_name_is_a_name() -> None:
             assert json.loads(await client.recv())["of"] == "field"
             assert server.live.asks[0].name == name  # type: ignore[union-attr]
             await client.send(json.dumps({"op": name}))
-            assert name not in await client.recv()  # what is refused is not said again
+            assert name not in await client.recv()  # the reply does not repeat the rejected text
 
     with_server(test)
 
@@ -314,7 +314,7 @@ def test_frames_out_of_order_end_their_own_connection_only(what: str) -> None:
             await other.send('{"op": "play"}')
             assert [json.loads(await other.recv())["op"] for _ in range(2)] == ["hello", "outcome"]
         await still_well(server)
-        while server.live.clients:  # all that left were told of
+        while server.live.clients:  # until the server knows of all that left
             await asyncio.sleep(0.01)
 
     with_server(test)

@@ -173,7 +173,7 @@ def test_curves_grow_and_a_branch_is_stored_beside_them(live: Live, scene: Path)
 
 
 def joined_curves(page: Page) -> tuple[list[int], dict[str, list[float]], list[dict[str, object]]]:
-    """What a page makes of all it was told about curves."""
+    """What a page makes of all messages about curves."""
     if page.last("curves") is None:
         return [], {}, []
     rows: dict[int, dict[str, float]] = {}
@@ -232,7 +232,7 @@ def test_feelers_of_who_is_followed_end_where_they_hit(live: Live) -> None:
     assert len(lines) == 3 and np.allclose(lines[:, 0], agent_positions(arrays, "forager")[row], atol=1e-3)
     reach = np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1)
     assert np.allclose(reach[hit == 0], 1.5 * arrays["forager/size"][row], rtol=1e-3)
-    # one that faces a wall a body ahead: the same agent, put before the stones, is asked for directly
+    # one that faces a wall a body ahead: the same agent, put before the stones, is requested directly
     population = live.session.world.populations["forager"]  # it stands still
     stones = live.session.world.setting.obstacles["stones"].vertices - live.session.world.origin
     at = int(population.rows_of(np.array([3]))[0])

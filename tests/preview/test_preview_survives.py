@@ -1,5 +1,5 @@
-"""A preview whose files are damaged while it runs, and whose pages flood it or sleep: the ants run on, and all goes on by itself
-once the files are whole and the pages back."""
+"""A preview with files that are damaged while it runs, and pages that flood it or sleep: the ants run on, and everything
+recovers once the files are complete and the pages back."""
 
 from __future__ import annotations
 

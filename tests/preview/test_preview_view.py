@@ -103,7 +103,7 @@ def test_arrows_turn_the_view_and_leave_time_alone(browser: Browser, foraging: s
 @pytest.mark.slow
 def test_a_click_selects_the_agent_there_and_beside_it_none(browser: Browser, foraging: str) -> None:
     with opened(browser, foraging) as preview:
-        keys(preview, "n", "g", "Escape", *["ArrowUp"] * 12)  # from straight above nobody hides another
+        keys(preview, "n", "g", "Escape", *["ArrowUp"] * 12)  # from straight above no agent hides another
         settled(preview)
         box = preview.page.locator("#view > canvas").bounding_box()
         assert box is not None
@@ -122,7 +122,7 @@ def test_a_click_selects_the_agent_there_and_beside_it_none(browser: Browser, fo
         assert said(preview) == "forager 0, search"
         keys(preview, "f")
         settled(preview)
-        preview.page.mouse.click(box["x"] + box["width"] - 40, box["y"] + 40)  # nobody stands in the sky
+        preview.page.mouse.click(box["x"] + box["width"] - 40, box["y"] + 40)  # no agent is in the sky
         assert said(preview) == "nobody is selected"
 
 

@@ -1,4 +1,4 @@
-"""Why, in a session under way: what is told is what happened, also across edits, and telling changes nothing."""
+"""Why, in a session under way: reports say what happened, also across edits, and change nothing."""
 
 from __future__ import annotations
 

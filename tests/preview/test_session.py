@@ -114,7 +114,7 @@ def test_a_param_changes_at_a_frame_and_is_replayed_there(shot: Path) -> None:
     world = session.world
     outcome = session.set("forager.swing", "120 deg")
     assert outcome.text == "set: {forager.swing: 120 deg}"
-    assert session.world is world  # nothing was compiled, nobody was moved
+    assert session.world is world  # nothing was compiled, no agent was moved
     changed = go(session, 12)
     assert changed[8] == plain[8]
     assert changed[20] != plain[20]
@@ -184,7 +184,7 @@ def test_what_was_lost_by_an_edit_does_not_come_back_by_undoing_it(shot: Path) -
     session = opened(shot)
     go(session, 6)
     session.switch_field("trail", on=False)
-    session.switch_field("trail", on=True)  # and begins anew
+    session.switch_field("trail", on=True)  # and starts again
     assert session.edited
     session.restart()
     go(session, 3)

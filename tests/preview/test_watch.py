@@ -1,4 +1,4 @@
-"""Files that are watched: told of once they have come to rest, however they are saved."""
+"""Files that are watched: reported once they do not change any more, however they are saved."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def collect_changes(watch: FileWatch, clock: Clock, seconds: float) -> list[Path]:
-    """What is told of while time passes in hundredths of a second."""
+    """What is reported while time passes in hundredths of a second."""
     changes: list[Path] = []
     for _ in range(round(seconds * 100)):
         clock.now += 0.01
@@ -163,11 +163,11 @@ def test_it_begins_beside_what_is_no_file(file: Path, kind: str) -> None:
 
 
 def test_a_pipe_is_not_even_opened(file: Path) -> None:
-    """Whoever writes into it would take the opening for a reader, and the closing for a broken pipe."""
+    """A writer would take the opening for a reader, and the closing for a broken pipe."""
     file.unlink()
     os.mkfifo(file)
     FileWatch(lambda: [file]).poll()
-    with pytest.raises(OSError, match="No such device or address"):  # nobody reads
+    with pytest.raises(OSError, match="No such device or address"):  # no reader
         os.open(file, os.O_WRONLY | os.O_NONBLOCK)
 
 

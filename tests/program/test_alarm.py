@@ -19,7 +19,7 @@ STAB = 48  # frames
 
 
 def run(frames: int, **params: str) -> tuple[np.ndarray, np.ndarray, list[float]]:
-    """States (frames, ants), where each stood at the stab, and the alarm there is, frame by frame, ants in order of id."""
+    """States (frames, ants), the position of each at the stab, and the alarm there is, frame by frame, ants in order of id."""
     shot, report = open_scene(SCENE, Choices(params={f"ant.{name}": text for name, text in params.items()}))
     assert shot is not None, report.sorted()
     states, scent, place = [], [], np.zeros(0)
@@ -50,7 +50,7 @@ def test_the_wave_reaches_far_ants_one_after_the_other(wave: tuple[np.ndarray, n
 def test_it_passes_and_ends(wave: tuple[np.ndarray, np.ndarray, list[float]]) -> None:
     states, _, scent = wave
     assert (states[-1] == CALM).all() and scent[-1] < 0.02 * max(scent)
-    assert ((np.diff((states == FRIGHT).astype(int), axis=0) == 1).sum(axis=0) <= 2).all()  # nobody goes round and round
+    assert ((np.diff((states == FRIGHT).astype(int), axis=0) == 1).sum(axis=0) <= 2).all()  # no ant goes round and round
 
 
 def test_without_scent_only_those_who_were_stabbed_at_take_fright() -> None:

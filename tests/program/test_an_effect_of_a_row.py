@@ -17,7 +17,7 @@ pytest.importorskip("interegular", reason="the grammar is made anew")
 
 @pytest.fixture(scope="module")
 def row_results() -> Any:
-    """What is made of it, in a process of its own: the rows have to be there before what is made of them."""
+    """What is made of it, in a separate process: the rows have to be there before what is made of them."""
     environment = child_environment(TESTS)
     script = [sys.executable, str(TESTS / "effect_of_a_row.py")]
     process = subprocess.run(script, capture_output=True, text=True, timeout=300, env=environment)

@@ -73,7 +73,7 @@ def test_each_kind_pushes_its_own_and_not_the_other(species: str) -> None:
     world = arena(crowd(2, species, at=at), crowd(1, other, at=[(0, -120)]), still=True)
     step(world)
     velocities = velocity(world, species)
-    rabbits_only = species == "rabbit"  # hunters go to their rabbit besides
+    rabbits_only = species == "rabbit"  # hunters also go to their rabbit
     assert velocities[0, 0] < 0 < velocities[1, 0] if rabbits_only else velocities[1, 0] - velocities[0, 0] > 0
     assert velocity(world, "rabbit")[0, 0] == 0 or rabbits_only
 

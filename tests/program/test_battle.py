@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 @dataclass
 class Fight:
-    """By frame and id, NaN for who has left: strength, whom each has picked, number of its state, place and heading."""
+    """By frame and id, NaN for agents that left: strength, the chosen opponent, number of its state, place and heading."""
 
     group: Array
     states: tuple[str, ...]
@@ -38,7 +38,7 @@ class Fight:
 
 @pytest.fixture(scope="module")
 def fight() -> Fight:
-    """Two sides of 40, whose middles are 90 mm apart."""
+    """Two sides of 40, with their middles 90 mm apart."""
     shot, report = open_scene(SCENE)
     assert shot is not None, report.sorted()
     crowds = [

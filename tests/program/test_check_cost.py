@@ -35,7 +35,7 @@ def find_costs(tmp_path: Path, text: str) -> dict[str, StateCost]:
         ("separate(radius: 3 * size)", ["walker within 3 * size"]),
         ("avoid(stones, feelers: 5)", ["5 rays on stones"]),
         ("seek(nearest(food, within: 20 mm))", ["all food within 20 mm"]),
-        ("seek(nearest(food)) + seek(nearest(food)) * 0.5", ["all food"]),  # the same question is asked once
+        ("seek(nearest(food)) + seek(nearest(food)) * 0.5", ["all food"]),  # the same sense is computed once
         ("heading * uniform(0, 1) * uniform(0, 1)", ["uniform"]),
     ],
 )

@@ -97,11 +97,11 @@ def test_explain_describes_the_requested_frame(scene: Path) -> None:
     cache = cached(scene, 20, scene.parent / "out")
     replay = Replay(CacheHistory.of(cache, open_shot(cache)))
     for frame, fires in ((11, False), (12, True)):
-        (account,) = explain_agents(replay, frame, [("walker", 0)])
-        assert account is not None
-        (looked,) = account.machines[0].looked
-        assert looked.fires is fires and account.machines[0].after == ("go" if fires else "wait")
-        assert f"frame = {frame}" in tell(account)
+        (step_report,) = explain_agents(replay, frame, [("walker", 0)])
+        assert step_report is not None
+        (looked,) = step_report.machines[0].looked
+        assert looked.fires is fires and step_report.machines[0].after == ("go" if fires else "wait")
+        assert f"frame = {frame}" in tell(step_report)
 
 
 def test_a_run_goes_on_from_a_checkpoint_with_the_same_frames(scene: Path) -> None:

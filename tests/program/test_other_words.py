@@ -1,4 +1,4 @@
-"""Words of other tools are told with what is written here, and what is written here means something."""
+"""Words of other tools are reported with what is written here, and what is written here means something."""
 
 from __future__ import annotations
 

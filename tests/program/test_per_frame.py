@@ -1,4 +1,4 @@
-"""Values that change by so much a frame are told of, with the rate to write; and `--strict` tells every use of `step`."""
+"""Values that change by so much a frame are reported, with the rate to write; and `--strict` reports every use of `step`."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ species a {{
 """
 WORLD = "ant 1\nworld { surface ground; items food { load = 0 } }\n"
 
-# What is written, and what to write instead; None where it is told without a text to put there.
+# What is written, and what to write instead; None where the message has no text to put there.
 PER_FRAME_CASES = [
     ("x = x + 1", "x += 24 /s"),
     ("x = 1 + x", "x += 24 /s"),

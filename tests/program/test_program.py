@@ -108,7 +108,7 @@ def test_a_mistake_is_reported_in_the_artists_words(
 
 
 def test_nine_mistakes_are_seven_errors_and_then_two_warnings() -> None:
-    """What seems idle is told once the rest is right: until then it may be what was meant where something is wrong."""
+    """What seems idle is reported once the rest is right: until then it may be what was meant where something is wrong."""
     text = (TESTS_FOLDER / "cases" / "nine_mistakes.ant").read_text(encoding="utf-8")
     diagnostics = check_text(text).sorted()
     assert [(d.code, d.span.source.line_column(d.span.start)) for d in diagnostics if d.span is not None] == [

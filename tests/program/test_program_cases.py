@@ -1,8 +1,8 @@
 """Mistakes in programs and what is said about them, from tests/cases/check/*.ant.
 
 A file is cut at lines of `---`. A part that begins with `ant` is a whole program; any other stands in the species of `AROUND`.
-A comment `# error[code]: words` names what is told about its line (or about a line that many `above`) and words that the message
-or its help has. Nothing else may be told, save for warnings about parts that stand in a species."""
+A comment `# error[code]: words` names a message about its line (or about a line that many `above`) and words that the message
+or its help has. Nothing else may be reported, save for warnings about parts that stand in a species."""
 
 from __future__ import annotations
 

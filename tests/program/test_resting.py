@@ -35,13 +35,13 @@ def speeds(history: RunHistory, number: int = 0, species: str = "a") -> list[flo
     return [float(np.sqrt(sum(np.float64(f[f"velocity.{a}"][number]) ** 2 for a in "xyz"))) for f in frames]
 
 
-@pytest.mark.parametrize("more", ["", "response 1 step", "max_force 3 uN", "response 0.5 s"])
-def test_a_state_that_steers_nothing_stands_still_as_by_halt(more: str) -> None:
-    silent, said = (play(walker(rest, start="go", members=more), steps=20) for rest in ("", "steer halt()"))
+@pytest.mark.parametrize("extra", ["", "response 1 step", "max_force 3 uN", "response 0.5 s"])
+def test_a_state_that_steers_nothing_stands_still_as_by_halt(extra: str) -> None:
+    silent, said = (play(walker(rest, start="go", members=extra), steps=20) for rest in ("", "steer halt()"))
     for name in ("position.x", "position.z", "velocity.x", "velocity.z", "heading.x", "main.state"):
         assert silent.every(name) == said.every(name)
     assert speeds(silent)[5] > 1.0  # it went, and
-    if more != "max_force 3 uN":  # which is too weak to stop in a second and a half
+    if extra != "max_force 3 uN":  # which is too weak to stop in a second and a half
         assert speeds(silent)[-1] < 2.0
 
 
@@ -114,14 +114,14 @@ def test_explain_says_why_it_stands_still(tmp_path: Path, rest: str, words: str)
         (tmp_path / name).write_text(content)
     cache = cached(tmp_path / "scene.yaml", 12, tmp_path / "out")
     replay = Replay(CacheHistory.of(cache, open_shot(cache)))
-    (account,) = explain_agents(replay, 3, [("a", 0)])
-    assert account is not None
+    (step_report,) = explain_agents(replay, 3, [("a", 0)])
+    assert step_report is not None
     words_of_strip = tell(explain(cache, 0, 3)).splitlines()[3]
     assert words_of_strip.startswith("  [rest 1..")  # and no name of a state stands before the first one's
-    assert [steer.text for steer in account.steers] == [words if words == RESTS else "steer coast()"]
-    assert f"state: {account.steers[0].text}" in tell(account)
-    assert (account.steers[0].length > 0.1) is (words == RESTS)
-    assert account.push == pytest.approx(account.steers[0].push)
+    assert [steer.text for steer in step_report.steers] == [words if words == RESTS else "steer coast()"]
+    assert f"state: {step_report.steers[0].text}" in tell(step_report)
+    assert (step_report.steers[0].length > 0.1) is (words == RESTS)
+    assert step_report.push == pytest.approx(step_report.steers[0].push)
 
 
 def test_the_ants_of_a_new_project_rest_where_they_are(tmp_path: Path) -> None:

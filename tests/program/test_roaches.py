@@ -1,4 +1,4 @@
-"""Roaches in a kitchen: how they set out, what controls do to them, and whom they come to like."""
+"""Roaches in a kitchen: how they set out, what controls do to them, and which others they come to like."""
 
 from __future__ import annotations
 

@@ -28,7 +28,7 @@ def test_a_utility_state_leads_back_to_whatever_was_before() -> None:
 
 
 def test_loads_remember_their_source() -> None:
-    """Sources have a quantity and are told apart by who took from them; the nest counts what came in (T26)."""
+    """Sources have a quantity and differ by which ants took from them; the nest counts what came in (T26)."""
     text = """species a { load = 0
 source = none of food
 from_near = 0

@@ -82,7 +82,7 @@ use steering
 world {{ surface ground }}
 species walker {{
   seen = 0 mm
-  let far = {asked}
+  let far = {query}
   start stroll
   state stroll {{ steer wander(); seen += 1 mm/s; when far -> rest }}
   state rest {{ steer halt(); when after 2 step -> stroll }}
@@ -93,7 +93,7 @@ species walker {{
 
 def asking(folder: Path, expression: str, place: str = "{on: ground}") -> World:
     shutil.copytree(MINIMAL, folder, dirs_exist_ok=True)
-    (folder / "walker.ant").write_text(ASKING.format(asked=expression))
+    (folder / "walker.ant").write_text(ASKING.format(query=expression))
     scene = folder / "scene.yaml"
     scene.write_text(re.sub("count: 50, place: {.*?}", f"count: {FEW}, place: {place}", scene.read_text()))
     shot, report = open_scene(scene)
@@ -102,18 +102,18 @@ def asking(folder: Path, expression: str, place: str = "{on: ground}") -> World:
 
 
 @pytest.mark.parametrize(
-    "asked",
+    "query",
     [
         "distance(nearest(walker, within: 900 m)) > 6 mm",
         "distance(nearest(walker, with: time_in_state > 0.1 s, within: 900 m)) > 9 mm",
         "distance(nearest(neighbours(900 m, 40 deg))) > 20 mm",
     ],
 )
-def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, asked: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, query: str, monkeypatch: pytest.MonkeyPatch) -> None:
     hashes = []
     for limit in (limits.WITHIN_RADIUS, ENOUGH):
         monkeypatch.setattr(limits, "WITHIN_RADIUS", limit)
-        world = asking(tmp_path, asked)
+        world = asking(tmp_path, query)
         for _ in range(6):
             step(world)
         hashes.append(state_hash(world))
@@ -121,7 +121,7 @@ def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, asked:
 
 
 @pytest.mark.parametrize(
-    ("asked", "place", "marked", "advice"),
+    ("query", "place", "marked", "advice"),
     [
         ("count(neighbours(900 m)) > 5", "{on: ground}", "count(neighbours(900 m))", "others in its radius; the 256 nearest"),
         ("count(all(walker, within: 900 m)) > 5", "{on: ground}", "count(all(walker, within: 900 m))", "write a smaller one"),
@@ -134,17 +134,17 @@ def test_the_nearest_one_is_found_however_many_are_within(tmp_path: Path, asked:
     ],
 )
 def test_what_is_refused_is_marked_itself(
-    tmp_path: Path, asked: str, place: str, marked: str, advice: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, query: str, place: str, marked: str, advice: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(limits, "WITHIN_RADIUS", ENOUGH)
     with pytest.raises(LimitStop) as stop:
-        step(asking(tmp_path, asked, place))
+        step(asking(tmp_path, query, place))
     fault = stop.value.fault
     assert fault.span is not None and fault.span.text == fault.what == marked and advice in fault.why
 
 
 @pytest.mark.parametrize(
-    ("asked", "marked"),
+    ("query", "marked"),
     [
         ("count(all(walker, within: 900 m)) > 5", ["900 m"]),
         ("distance(nearest(walker, with: speed > 1 mm/s, within: 900 m)) > 5 mm", ["900 m"]),
@@ -155,8 +155,8 @@ def test_what_is_refused_is_marked_itself(
         ("count(neighbours(near)) > 5", []),
     ],
 )
-def test_a_check_tells_of_every_radius_that_reaches_all(asked: str, marked: list[str]) -> None:
+def test_a_check_tells_of_every_radius_that_reaches_all(query: str, marked: list[str]) -> None:
     declarations = "param sight = 900 m in 0 m .. 900 m\n  param near = 9 mm in 0 m .. 900 m\n  let reach = sight\n  let far ="
-    text = ASKING.format(asked=asked).replace("let far =", declarations).replace("surface ground", "surface ground; items home")
+    text = ASKING.format(query=query).replace("let far =", declarations).replace("surface ground", "surface ground; items home")
     _, report = checked(text)
     assert [d.span.text for d in report.diagnostics if d.code == "wide-radius" and d.span is not None] == marked

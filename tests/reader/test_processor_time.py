@@ -102,7 +102,7 @@ def test_a_child_that_the_budget_ended_is_no_failure_of_the_file(
     assert not reader._failures and not reader._heavy
 
 
-# A library whose memory runs out may crash: what took time before it crashed is too heavy as well.
+# A library that runs out of memory may crash: what took time before it crashed is too heavy as well.
 @pytest.mark.parametrize(
     "does", ["os.kill(os.getpid(), 24)", "os.kill(os.getpid(), 9)", "send({'failure': 'memory'})", "spin(0.6), os.abort()"]
 )
@@ -159,7 +159,7 @@ def test_a_dead_child_still_says_how_much_time_it_took(reader: Reader, monkeypat
 
 
 def heavy(folder: Path, levels: int = 20) -> None:
-    """A file of few lines whose prims are composed with two of the next one each."""
+    """A file of few lines with prims that are each composed with two of the next one."""
     pytest.importorskip("pxr")
     text = GOOD
     for number in range(levels):

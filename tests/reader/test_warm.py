@@ -1,4 +1,4 @@
-"""A preview whose USD file becomes one that crashes the reader: it goes on, says where, and reads the next file."""
+"""A preview with a USD file that becomes one that crashes the reader: it goes on, says where, and reads the next file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Edits are local: more ants, a far stone, a species that nobody meets leave the others as they were, bit for bit."""
+"""Edits are local: more ants, a far stone, a species that no other meets leave the others as they were, bit for bit."""
 
 from __future__ import annotations
 

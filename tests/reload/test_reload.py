@@ -1,4 +1,4 @@
-"""Edited programs that take over from running ones: what is kept, under hundreds of random edits; and the words about it."""
+"""Edited programs that take over from running ones: what continues, under hundreds of random edits; and the words about it."""
 
 from __future__ import annotations
 

@@ -207,7 +207,7 @@ def test_items_that_agents_hold_are_known_by_name(scene: Path) -> None:
     assert set(now.populations["ant"].now["target"]) == {-1, 1}
 
 
-def test_agents_follow_a_ground_whose_vertices_move(scene: Path) -> None:
+def test_agents_follow_a_ground_with_moving_vertices(scene: Path) -> None:
     world = started(scene)
     old_positions = world.populations["ant"].position.copy()
     save_ground(scene.parent, lift=40.0)
@@ -279,7 +279,7 @@ LIKING = PROGRAM.replace("load   = 1", "load   = 1\n  likes  = 0 relax to 0 over
 
 
 def likings(world: World, count: int) -> dict[int, list[tuple[int, float]]]:
-    """What each ant keeps about whom, the strongest first."""
+    """What each ant stores about which other, the strongest first."""
     ants, pairs_by_agent = world.populations["ant"], {}
     for row, agent in enumerate(ants.ids.tolist()):
         pairs = [(int(ants.now[who][row]), float(ants.now[value][row])) for who, value in slot_names("likes", count)]

@@ -1,4 +1,5 @@
-"""The bridge of two arms: its meshes are what the script makes, arms are as long as told, ants get across and are counted."""
+"""The bridge of two arms: its meshes are what the script makes, arms have the requested length, ants get across and are
+counted."""
 
 from __future__ import annotations
 
@@ -75,7 +76,7 @@ def test_ants_come_across_and_each_is_counted_once_at_a_gate() -> None:
         near = now
     counted = dict(zip(world.items["gates"].names, world.items["gates"].amounts["passed"].tolist(), strict=True))
     assert sum(counted.values()) > 10 and world.transitions["ant.out->eat"] >= 3
-    assert abs(counted["short"] - passed[0]) <= 2 and abs(counted["long"] - passed[1]) <= 2  # one at a gate, not yet told
+    assert abs(counted["short"] - passed[0]) <= 2 and abs(counted["long"] - passed[1]) <= 2  # one at a gate, not yet counted
 
 
 def test_the_study_reads_what_a_sweep_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""`play`: clips go by the ground covered or the clock, give way to each other, and can be asked for; the same bits everywhere."""
+"""`play`: clips go by the ground covered or the clock, give way to each other, and can be queried; the same bits everywhere."""
 
 from __future__ import annotations
 

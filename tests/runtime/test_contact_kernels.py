@@ -193,7 +193,7 @@ def within(moved: np.ndarray, middle: np.ndarray, extent: float) -> np.ndarray:
     return (middle + moved) * (extent / size) - middle if size > extent else moved
 
 
-def shares(near, pairs, depth, light, heap_share, normal) -> dict[tuple[int, int], float]:
+def shares(near, pairs, depth, light, dense_share, normal) -> dict[tuple[int, int], float]:
     """What of its overlap each of a pair makes room for, by pair and row."""
     locked = {k: sum(depth[n] for n in pairs if k in (near.i[n], near.j[n])) for k in range(ROWS)}
     most = max(depth.values())
@@ -208,7 +208,7 @@ def shares(near, pairs, depth, light, heap_share, normal) -> dict[tuple[int, int
     result = {}
     for n in pairs:
         p, q = near.i[n], near.j[n]
-        outward = 1 + 9 * max(heap_share[p], heap_share[q])
+        outward = 1 + 9 * max(dense_share[p], dense_share[q])
         outer = np.clip(0.5 + outward * (locked[q] - locked[p]) / max(locked[p] + locked[q], 1e-300), 1 / 64, 63 / 64)
         one = light[p] * outer * np.sum(level(near.direction[:, n], normal[:, p]) ** 2)
         two = light[q] * (1 - outer) * np.sum(level(near.direction[:, n], normal[:, q]) ** 2)
@@ -222,7 +222,7 @@ def part_bodies(near: NearPairs, agents, which, held, walked, depth, looks, swee
     size = np.linalg.norm(walked, axis=0)
     most = np.maximum(agents.reach, size)
     extent = np.minimum(most * 0.3 + depth, most) * agents.yields
-    heap_share = np.where(size <= 0.01 * most, 1.0, np.clip(depth / (near.radius * 0.4) - 0.5, 0, 1))
+    dense_share = np.where(size <= 0.01 * most, 1.0, np.clip(depth / (near.radius * 0.4) - 0.5, 0, 1))
     light, moved, which = np.where(held, 0.0, 1 / agents.mass), cut.copy(), which.copy()
     dead = (near.radius[near.i] + near.radius[near.j]) * 5e-4
     for _ in range(looks):
@@ -232,7 +232,7 @@ def part_bodies(near: NearPairs, agents, which, held, walked, depth, looks, swee
         if not pairs:
             break
         overlap = {n: -near.gap[n] if near.gap[n] < -dead[n] else 0.0 for n in pairs}
-        part, new_displacement = shares(near, pairs, overlap, light, heap_share, agents.normal), moved.copy()
+        part, new_displacement = shares(near, pairs, overlap, light, dense_share, agents.normal), moved.copy()
         for _ in range(sweeps):
             sums, weight, contacts = np.zeros((3, ROWS)), np.zeros(ROWS), np.zeros(ROWS)
             for n in pairs:
@@ -246,7 +246,7 @@ def part_bodies(near: NearPairs, agents, which, held, walked, depth, looks, swee
                         contacts[k] += 1
             if not contacts.any():
                 break
-            sums *= np.where(contacts > 1, 1 + 0.5 * heap_share, 1.0) / np.maximum(weight, 1.0)
+            sums *= np.where(contacts > 1, 1 + 0.5 * dense_share, 1.0) / np.maximum(weight, 1.0)
             for k in np.flatnonzero(contacts):
                 new_displacement[:, k] = within(
                     within(new_displacement[:, k] + sums[:, k], -cut[:, k], extent[k]), walked[:, k], most[k]

@@ -1,4 +1,4 @@
-"""Digging: tunnels are walked through, nobody passes undug solid, what is removed is counted, and a run can be repeated and
+"""Digging: tunnels are walked through, no agent passes undug solid, what is removed is counted, and a run can be repeated and
 continued to the bit."""
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def bound(shot: Shot, **options: object) -> World:
 
 @pytest.fixture(scope="module")
 def watched(shot: Shot) -> tuple[World, list[str], dict[str, list[np.ndarray]]]:
-    """A run, its hashes, and where everybody stood at each frame."""
+    """A run, its hashes, and all positions at each frame."""
     world = bound(shot)
     hashes = [state_hash(world)]
     positions_by_name: dict[str, list[np.ndarray]] = {"digger": [], "walker": [], "on": [], "off": []}
@@ -98,10 +98,10 @@ def test_what_is_removed_is_what_was_counted(watched, shot):
     world = watched[0]
     hill = world.solids["hill"]
     held = world.populations["digger"].now["soil"].astype(np.float64).sum()
-    heap_soil = world.items["heap"].amounts["soil"].sum()
+    dropped_soil = world.items["heap"].amounts["soil"].sum()
     start_volume = bound(shot).solids["hill"].volume()
-    assert hill.removed > 500 and heap_soil > 100
-    assert held + heap_soil == hill.removed == start_volume - hill.volume()
+    assert hill.removed > 500 and dropped_soil > 100
+    assert held + dropped_soil == hill.removed == start_volume - hill.volume()
 
 
 def test_open_ground_in_a_tunnel_is_walked_on(watched, shot):

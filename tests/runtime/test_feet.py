@@ -181,9 +181,9 @@ def test_a_checkpoint_goes_on_with_the_same_bits(hill: Shot) -> None:
         step(again)
     assert feet_hash(again.feet) == feet_hash(world.feet)
     other = bind_shot(hill, Options(backend="numpy"))
-    restore(other, saved)  # of a run with feet, where nobody asks for them
+    restore(other, saved)  # of a run with feet, where no feet are requested
     none = {name: array for name, array in saved.items() if not name.startswith("feet.")}
-    restore(again, none)  # and the other way round: all stand anew
+    restore(again, none)  # and the other way round: all feet are planted again
     assert feet_of(again).is_standing.mean() > 0.9 and state_hash(again) == state_hash(other)
 
 
@@ -262,7 +262,7 @@ def test_feet_go_along_with_ground_that_moves_and_stand_still_on_it(tmp_path: Pa
     assert np.abs(x - rest_positions(world.walkers["walker"].legs)[0]).max() < 0.1 and np.abs(y).max() < 1e-3
 
 
-def test_a_foot_whose_ground_is_removed_lifts_and_seeks_again(tmp_path: Path) -> None:
+def test_a_foot_without_its_ground_lifts_and_seeks_again(tmp_path: Path) -> None:
     block = stick_bodies.block((-30, -12, -30), (30, 0, 30))
     program = stick_bodies.PROGRAM.format(size=6, speed=0.001, leave="", more="").replace("surface ground", "solid ground")
     path = stick_bodies.write_scene(
@@ -320,7 +320,7 @@ def test_feet_stand_on_obstacles_and_on_the_side_of_a_sheet_that_they_walk_on(tm
 def test_feet_are_on_the_floor_that_is_seen_where_the_body_walks_a_coarser_one(
     tmp_path: Path, clearance: int, high: float, look: str
 ) -> None:
-    """A body on a few large triangles, or kept over them, with a finely bumped floor below it (row R01)."""
+    """A body on a few large triangles, or held over them, with a finely bumped floor below it (row R01)."""
 
     def bumps(x: np.ndarray, z: np.ndarray) -> np.ndarray:
         return high + 0.3 * np.sin(x / 1.7) * np.cos(z / 2.1)

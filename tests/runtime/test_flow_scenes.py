@@ -1,4 +1,4 @@
-"""Flows and maps as scenes write them: what is read from files, and what is told of what does not fit."""
+"""Flows and maps as scenes write them: what is read from files, and messages about what does not fit."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def test_attributes_of_ply_files_turn_with_their_mesh(folder: Path, text: bool) 
     assert shot is not None, report.errors
     flow, damp = shot.setting.flows["drift"], shot.setting.maps["damp"]
     assert isinstance(flow, Painted) and flow.values.shape == (n - 1, 3)
-    # z of a file whose up is z is the scene's y; turned about x to z, then about z it stays; the mirror turns it back
+    # z of a file with z as its up is the scene's y; turned about x to z, then about z it stays; the mirror turns it back
     assert np.allclose(flow.values, [[0, 0, -0.5]]) and np.allclose(damp.values, 0.2)
     shot, report = opened(folder, scene.replace("attribute: wind", "attribute: [wind_z, wind_x, moss]"))
     assert shot is not None, report.errors

@@ -1,5 +1,5 @@
 """Limits of an animal's motion that are set to 0 or below, at birth or in a run: it stands or moves as defined, on all backends
-alike. What is no number is refused at the line that sets it."""
+alike. What is no number is an error at the line that sets it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def wishes() -> list[str]:
 
 
 def play_with_limit(name: str, value: str, birth: str = "", steps: int = 7) -> RunHistory:
-    """Animals with all wishes of the library, for whom a limit is set to a value in their second state."""
+    """Animals with all wishes of the library, with a limit that is set to a value in their second state."""
     text = f"""use steering
 species a {{
   zero = 0

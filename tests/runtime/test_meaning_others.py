@@ -29,7 +29,7 @@ def test_the_age_of_others_is_counted_from_their_birth_and_0_for_none() -> None:
         0,
         0,
         0.7,
-    ]  # the child stands where its parent does; nobody near is 0
+    ]  # the child stands where its parent does; no agent near is 0
 
 
 WORLD = "ant 1\nworld { surface ground }\n"

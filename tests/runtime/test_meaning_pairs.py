@@ -19,7 +19,7 @@ STILL = "on spawn { velocity = vector(0 mm/s, 0 mm/s, 0 mm/s); heading = vector(
 
 
 def read_pairs(world: World, name: str = "likes", species: str = "a", count: int = 3) -> dict[int, dict[int, float]]:
-    """What each agent keeps about whom, by id."""
+    """What each agent stores about which other, by id."""
     population = world.populations[species]
     pairs_by_agent: dict[int, dict[int, float]] = {int(agent): {} for agent in population.ids}
     for who, value in slot_names(name, count):
@@ -63,7 +63,7 @@ TEN = np.random.default_rng(4).uniform(-12, 12, (10, 2)).round(3)
 
 
 class Reading:
-    """The rules read plainly: everybody's others by id, each step in the order of the text, one other after the other."""
+    """The rules read plainly: the others of each agent by id, each step in the order of the text, one other after the other."""
 
     def __init__(self, strongest: int) -> None:
         self.strongest, self.kept = strongest, {}

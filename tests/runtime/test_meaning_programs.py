@@ -50,7 +50,7 @@ def test_hunters_chase_rabbits_and_rabbits_run() -> None:
 
     history = played(hunting, setting, 240, "hunter", FAST[:1], each)
     assert set(history["main.state"]) == {0} and gaps[-1].mean() < gaps[0].mean() - 3
-    assert np.sort(gaps[-1])[2] < 8 and np.min(gaps[48:]) > 2  # three are close behind, nobody has caught one
+    assert np.sort(gaps[-1])[2] < 8 and np.min(gaps[48:]) > 2  # three are close behind, none has caught another
     rabbits = history.world.populations["rabbit"]
     assert history.world.transitions["rabbit.run->flee"] > 3
     assert np.linalg.norm(rabbits.position, axis=1).max() < 101

@@ -47,7 +47,7 @@ def test_reductions_over_neighbours():
         "everybody": "count(n in a: n.weight >= 0)",
     }
     history = values(expressions, LINE, attributes="weight = id")
-    # who sees whom within 8 mm: 0: 1 2 4; 1: 0 2 4 (5 mm); 2: 0 1 (4 is 8.06 away); 3: nobody; 4: 0 1
+    # which agents see which within 8 mm: 0: 1 2 4; 1: 0 2 4 (5 mm); 2: 0 1 (4 is 8.06 away); 3: none; 4: 0 1
     assert history["how_many"] == [3, 3, 2, 0, 2]
     assert history["far_ones"] == [2, 2, 2, 0, 2]
     assert history["some"] == [1, 1, 0, 0, 0]

@@ -265,7 +265,7 @@ def test_a_platform_picks_up_who_walks_onto_it(folder: Path) -> None:
 
 
 def test_posed_ground_is_rebuilt_ground() -> None:
-    """All that is worked out again for a mesh that moved, rays included, is what it would be at once; both walks agree."""
+    """All that is computed again for a mesh that moved, rays included, is what it would be at once; both walks agree."""
     draw = np.random.default_rng(5)
     hill, ball = meshes.terrain(160, 12), meshes.ball(18, (0, 6, 0), rings=8)
     bend = ball[0] * (1.2, 0.8, 1) + (11, 2, -7)

@@ -101,10 +101,11 @@ MANY_CHUNKS, SOME_CHUNKS, ONE_CHUNK = (
 
 
 @pytest.mark.parametrize(
-    ("scene", "way"), [("foraging/scene.yaml", SOME_CHUNKS), ("moods/scene.yaml", MANY_CHUNKS), ("tunnel/scene.yaml", ONE_CHUNK)]
+    ("scene", "options"),
+    [("foraging/scene.yaml", SOME_CHUNKS), ("moods/scene.yaml", MANY_CHUNKS), ("tunnel/scene.yaml", ONE_CHUNK)],
 )
-def test_examples_have_the_states_that_numpy_gives_them(scene: str, way: Options) -> None:
-    assert hashes(scene, 4, way, 150) == hashes(scene, 4, NUMPY, 150)
+def test_examples_have_the_states_that_numpy_gives_them(scene: str, options: Options) -> None:
+    assert hashes(scene, 4, options, 150) == hashes(scene, 4, NUMPY, 150)
 
 
 @pytest.mark.slow
@@ -286,7 +287,7 @@ define void @a(ptr %p) {
 
 
 def reference_operations(program: str, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """What the reference is asked to work out while a crowd takes two steps with the same states as NumPy's."""
+    """What the reference has to compute while a crowd takes two steps with the same states as NumPy's."""
     history, plain, node_names = (
         play(program, crowd(300, radius=60), steps=2, option_sets=(NUMPY,)),
         native_backend.AgentRun.value,

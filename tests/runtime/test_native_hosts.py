@@ -19,7 +19,7 @@ from antdsl.runtime.backends.native import listing
 
 pytestmark = pytest.mark.skipif(not machine.is_available(), reason="llvmlite is not installed")
 
-# What object files may look for: functions of C whose results IEEE 754 fixes to the last bit, and those that move bytes.
+# What object files may look for: functions of C with results that IEEE 754 fixes to the last bit, and those that move bytes.
 FROM_C = {"fmod", "fmodf", "floor", "floorf", "rint", "rintf", "memcpy", "memset"}
 TARGETS = {
     "host": machine.host,
@@ -36,7 +36,7 @@ TESTS = Path(__file__).resolve().parents[1]
 
 
 def ran(script: str, *arguments: str, **settings: str) -> subprocess.CompletedProcess[str]:
-    """A script of the tests in a process of its own."""
+    """A script of the tests in a separate process."""
     usual = {k: v for k, v in child_environment(TESTS).items() if not k.startswith(("NPY_", "GLIBC_", "OPENBLAS_"))}
     return subprocess.run(
         [sys.executable, str(TESTS / script), *arguments], env={**usual, **settings}, capture_output=True, text=True
@@ -77,7 +77,7 @@ def undefined(code: bytes) -> set[str]:
 
 @pytest.mark.skipif(sys.platform != "linux", reason="object files are those of ELF")
 @pytest.mark.parametrize("name", sampled(TARGETS, ("oldest x86", "arm")))
-def test_machine_code_calls_nothing_whose_bits_may_vary(name: str) -> None:
+def test_machine_code_calls_nothing_with_varying_bits(name: str) -> None:
     """Without some instruction LLVM makes a call of it; none of them may be one that libraries round in different ways."""
     target = TARGETS[name]()
     symbol_names = undefined(machine.object_code(listing.plan_program(plans.rich(), target).text, target))

@@ -1,5 +1,5 @@
-"""When machine code is made and what becomes of it: kept for other runs, made anew where it may be harmful, made for what an edit
-changes and for nothing else."""
+"""When machine code is made and what becomes of it: stored for other runs, built again where it may be harmful, built for what an
+edit changes and for nothing else."""
 
 from __future__ import annotations
 
@@ -236,7 +236,7 @@ def test_a_plan_that_is_gone_leaves_no_code_behind(afresh: Callable[[], list[str
 
 
 def test_who_asks_with_other_arrays_each_time_is_answered_of_those_and_leaves_nothing_behind() -> None:
-    """As specs do: registers that are the run's own, asked about again after they have changed, and new arrays for answers."""
+    """As specs do: registers that are the run's own, read again after they have changed, and new arrays for answers."""
     world = edited()
     rooms: Any = world.backend._rooms  # type: ignore[attr-defined]
     population, values = world.populations["a"], np.zeros(len(world), np.float32)

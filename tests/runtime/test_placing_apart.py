@@ -1,4 +1,4 @@
-"""Where crowds begin nobody stands in anybody else, however they are placed; more agents move none of the others; and a place
+"""Where crowds begin no agent overlaps another, however they are placed; more agents move none of the others; and a place
 without room for all says so with numbers."""
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ def discs(bound_world: World) -> tuple[np.ndarray, np.ndarray]:
 
 
 def overlapping(place: np.ndarray, radius: np.ndarray) -> np.ndarray:
-    """Who meets somebody, by trying each with all others."""
+    """Which agents overlap another, by trying each with all others."""
     overlaps = np.zeros(len(place), np.bool_)
     for k in range(len(place)):
         is_near = np.sqrt(((place - place[k]) ** 2).sum(axis=1)) < radius + radius[k]
@@ -78,7 +78,7 @@ def by_id(bound_world: World, species: str = "ant") -> np.ndarray:
     return population.position[population.in_id_order()]
 
 
-# --- nobody in anybody ---------------------------------------------------------------------------------------------------
+# --- no agent in another --------------------------------------------------------------------------------------------------
 
 DISC = PlaceData(on=("hill",), around=(0.0, 0.0, 0.0), radius=90.0)
 PLACEMENTS = {
@@ -106,10 +106,10 @@ PLACEMENTS = {
 }
 
 
-@pytest.mark.parametrize("way", PLACEMENTS)
-def test_no_agent_begins_inside_another(way: str) -> None:
-    bound_world = world(*PLACEMENTS[way], text=BLOCK if "solid" in way else PROGRAM)
-    assert len(bound_world) == sum(crowd.count for crowd in PLACEMENTS[way]) and bound_world.crowded == []
+@pytest.mark.parametrize("placement", PLACEMENTS)
+def test_no_agent_begins_inside_another(placement: str) -> None:
+    bound_world = world(*PLACEMENTS[placement], text=BLOCK if "solid" in placement else PROGRAM)
+    assert len(bound_world) == sum(crowd.count for crowd in PLACEMENTS[placement]) and bound_world.crowded == []
     place, radius = discs(bound_world)
     assert not overlapping(place, radius).any()
     for population in bound_world.populations.values():
@@ -257,7 +257,7 @@ def test_tries_are_few_however_full_it_is(share: float, all_fit: bool) -> None:
 
 
 def test_pairs_are_few_where_thousands_want_one_place(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nobody counts all pairs of those who are drawn to one point."""
+    """All pairs of agents that are drawn to one point are never counted."""
     find_overlaps, most = Occupancy.find_overlaps, [0]
 
     def counted(occupancy: Occupancy, *discs: np.ndarray) -> tuple:

@@ -1,4 +1,4 @@
-"""Crowds that begin evenly spaced: how far apart, who shares a spot with whom, and seeds of their own."""
+"""Crowds that begin evenly spaced: how far apart, which agents share a spot, and seeds of their own."""
 
 from __future__ import annotations
 
@@ -66,10 +66,10 @@ def test_a_seed_of_its_own_moves_that_line_alone() -> None:
     assert crowd().place.seed is None
 
 
-@pytest.mark.parametrize("more", [0, 50])
-def test_more_agents_move_no_others_where_a_length_is_given(more: int) -> None:
+@pytest.mark.parametrize("added", [0, 50])
+def test_more_agents_move_no_others_where_a_length_is_given(added: int) -> None:
     place = PlaceData(on=("ground",), spacing=8.0)
     assert (
-        positions_by_id(bind_crowds(place, place, (10, 100 + more)), "prey")[:100]
+        positions_by_id(bind_crowds(place, place, (10, 100 + added)), "prey")[:100]
         == positions_by_id(bind_crowds(place, place, (10, 100)), "prey")
     ).all()

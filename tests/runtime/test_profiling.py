@@ -97,7 +97,7 @@ def measured(world: World, frames: int, meter: Meter | None = None) -> Profile:
 
 
 class Clock:
-    """A clock that stands still but for what is told to take time."""
+    """A clock that stands still but for what is set to take time."""
 
     now = 0.0
 
@@ -388,7 +388,7 @@ def test_what_a_line_works_out_is_worked_out_between_its_marks(target: machine.T
 def test_machine_code_is_the_same_to_the_bit_while_it_is_measured_and_has_marks_only_then(
     shot: Shot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What is called between its stages is told of its own line, and functions share what they take among theirs."""
+    """What is called between its stages is reported on its own line, and functions share what they take among theirs."""
     clock = Clock()
     monkeypatch.setattr(runner, "perf_counter", clock)
     answer, nothing = runner.IN_PLACE["ray"]
@@ -462,7 +462,7 @@ def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize(
-    ("by", "told"),
+    ("by", "expected"),
     [
         ({"NumPy": 4}, ", by NumPy"),
         ({"machine code": 4}, ", by machine code"),
@@ -470,6 +470,6 @@ def test_where_no_counter_can_be_read_numpy_is_measured(monkeypatch: pytest.Monk
         ({}, ""),
     ],
 )
-def test_a_profile_says_what_ran_the_lines(by: dict[str, int], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_profile_says_what_ran_the_lines(by: dict[str, int], expected: str, capsys: pytest.CaptureFixture[str]) -> None:
     show(Profile(frames=4, phases={"act": 1.0}, total=1.0, by=by), lines=True)
-    assert capsys.readouterr().out.splitlines()[0] == f"1.00 ms a frame, 0.00 ms of processors, over 4 frames{told}"
+    assert capsys.readouterr().out.splitlines()[0] == f"1.00 ms a frame, 0.00 ms of processors, over 4 frames{expected}"

@@ -17,7 +17,7 @@ MOST = 150  # agents; programs that breed without end are followed as far as tha
 NUMPY = Options(backend="numpy", on_fault="quarantine")
 REFERENCE = Options(backend="reference", on_fault="quarantine", shuffle_rows=2)
 CHUNKS, THREADS = (8, 24, 1000, 100_000), (1, 2, 5)
-# What no line of a program gives: a number that only specs are told, and an operation that no line is lowered to.
+# What no line of a program gives: a number that only specs read, and an operation that no line is lowered to.
 BY_NONE = {"operation told"}
 
 

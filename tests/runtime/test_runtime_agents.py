@@ -23,7 +23,7 @@ def total(world) -> float:
 
 
 def eaters(amount: float) -> ir.Plan:
-    """Everybody claims from the one item each step; those who won twice give all back to the other."""
+    """All agents claim from the one item each step; those who won twice give all back to the other."""
     t = plans.Text()
     first_item, second_item = t("const.i32", attrs=(0,)), t("const.i32", attrs=(1,))
     wish = t("mul", amount, t("add", 0.5, t.draw("wish")))
@@ -134,7 +134,7 @@ def test_an_event_is_seen_once_a_step_later_by_those_in_reach():
 
 
 def breeders() -> ir.Plan:
-    """Even ids bear two at frame 2, ids that are a multiple of 3 die at frame 3; everybody has a friend."""
+    """Even ids bear two at frame 2, ids that are a multiple of 3 die at frame 3; each has a friend."""
     t = plans.Text()
     from dataclasses import replace
 

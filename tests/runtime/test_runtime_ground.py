@@ -1,4 +1,4 @@
-"""Agents on real ground: nobody leaves the surface or enters a stone, fields and rays work, both backends agree."""
+"""Agents on real ground: no agent leaves the surface or enters a stone, fields and rays work, both backends agree."""
 
 from __future__ import annotations
 

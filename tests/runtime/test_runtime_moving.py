@@ -72,11 +72,11 @@ def test_a_turn_takes_its_time():
         previous_velocity = velocity
 
 
-@pytest.mark.parametrize("way", [(-1.0, 0.0, 0.0), (-0.6, 0.0, 0.8), (0.0, 0.0, 1.0)])
-def test_the_heading_follows_smoothly_whatever_the_fps(way):
+@pytest.mark.parametrize("direction", [(-1.0, 0.0, 0.0), (-0.6, 0.0, 0.8), (0.0, 0.0, 1.0)])
+def test_the_heading_follows_smoothly_whatever_the_fps(direction):
     end_headings = []
     for fps in (24, 48, 96):
-        world = world_of(store_plan(way, max_force=60.0 * fps, **STILL), fps=Fraction(fps))
+        world = world_of(store_plan(direction, max_force=60.0 * fps, **STILL), fps=Fraction(fps))
         most, previous_heading = 0.0, np.array([1.0, 0.0, 0.0])
         for _ in range(fps // 4):
             step(world)
@@ -85,17 +85,17 @@ def test_the_heading_follows_smoothly_whatever_the_fps(way):
             most, previous_heading = max(most, float(np.linalg.norm(heading - previous_heading))), heading
         assert most < 0.55 * 24 / fps
         end_headings.append(previous_heading)
-    assert end_headings[0] @ end_headings[2] > 0.97 and end_headings[0] @ np.array(way) > 0.5
+    assert end_headings[0] @ end_headings[2] > 0.97 and end_headings[0] @ np.array(direction) > 0.5
 
 
 @pytest.mark.parametrize("substeps", [1, 2])
-@pytest.mark.parametrize("way", [(-1.0, 0.0, 0.0), (-0.6, 0.0, 0.8), (0.96, 0.0, 0.28), (0.02, 0.0, 0.02)])
-def test_a_kinematic_animal_faces_at_once_where_it_goes(way, substeps):
-    plan = store_plan(way, response=1 / 24, max_force=60.0 * 24, **STILL)
+@pytest.mark.parametrize("direction", [(-1.0, 0.0, 0.0), (-0.6, 0.0, 0.8), (0.96, 0.0, 0.28), (0.02, 0.0, 0.02)])
+def test_a_kinematic_animal_faces_at_once_where_it_goes(direction, substeps):
+    plan = store_plan(direction, response=1 / 24, max_force=60.0 * 24, **STILL)
     world = world_of(plan, substeps=substeps)
     for _ in range(2):
         step(world)
-        assert read(world, "heading")[0] == pytest.approx(np.array(way) / np.linalg.norm(way), abs=1e-5)
+        assert read(world, "heading")[0] == pytest.approx(np.array(direction) / np.linalg.norm(direction), abs=1e-5)
 
 
 def test_a_kinematic_animal_turns_no_faster_than_it_may_and_its_heading_goes_with_it():

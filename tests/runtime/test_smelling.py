@@ -1,4 +1,4 @@
-"""A field read ahead of the feet: where a straight way over the surface ends, against places worked out by hand."""
+"""A field read ahead of the feet: where a straight way over the surface ends, against places computed by hand."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def smelled(
     option_sets: Sequence[Options] = BOTH,
     start_steps: int = 0,
 ) -> tuple[list[float], World]:
-    """What agents that stand there smell after some steps, and the world, whose cells hold their number from 1; the same in
+    """What agents that stand there smell after some steps, and the world, in which cells hold their number from 1; the same in
     every way."""
     on = next(iter((*setting.surfaces, *setting.solids)))
     plan = optimise(plan_of(program(ahead, turn), world_of(on)))

@@ -1,4 +1,4 @@
-"""Places in a ball on thin faces are found without cutting them into strips side by side."""
+"""Places in a ball on thin faces are found without cutting them into parallel strips."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ STATES = ("wandering", "seek_food", "seek_home", "digger", "seek_pheromones")
 
 def test_every_number_of_the_panel_is_a_param_with_range_and_help() -> None:
     program, report = compile_files([FOLDER / "ant.ant"])
-    assert program is not None and not report.diagnostics  # a param that nothing uses would be told here
+    assert program is not None and not report.diagnostics  # a param that nothing uses would be reported here
     params = {name.removeprefix("ant."): param for name, param in program.params.items()}
     assert sorted(params) == sorted(name for names in PANEL.values() for name in names)
     for name, param in params.items():

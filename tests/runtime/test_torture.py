@@ -60,7 +60,7 @@ def in_bottle(points: Floats) -> NDArray[np.bool_]:
 
 
 def in_can(points: Floats, tin: float = 0.0) -> NDArray[np.bool_]:
-    """Whether places are in the can, whose wall has 30 flat sides."""
+    """Whether places are in the can with a wall of 30 flat sides."""
     angle = np.mod(np.arctan2(points[:, 2], points[:, 0]), 2 * np.pi / 30) - np.pi / 30
     wall = np.hypot(points[:, 0], points[:, 2]) * np.cos(angle)
     return (points[:, 1] > tin) & (points[:, 1] < SHAPES.CAN - tin) & (wall < (SHAPES.RIM - tin) * np.cos(np.pi / 30))
@@ -70,7 +70,7 @@ def test_into_a_can_and_out_of_it_leads_only_the_hole_in_its_lid() -> None:
     mesh = SHAPES.can()
     ground, rng = MeshGround({"can": mesh}), np.random.default_rng(7)
     begin = crowd(ground, [mesh], N, rng)
-    begin = begin.take(np.flatnonzero(~inside(mesh, above(ground, begin))))  # nobody in the tin
+    begin = begin.take(np.flatnonzero(~inside(mesh, above(ground, begin))))  # no agent in the tin
     was, crossed = in_can(above(ground, begin), SHAPES.TIN), 0
     assert 0.3 < was.mean() < 0.7
     for k, (previous, at) in enumerate(wander(ground, begin, 2 * STEPS, rng)):
@@ -143,7 +143,7 @@ def test_no_agent_slips_from_the_ground_into_what_is_sunk_in_it_or_leans_on_it()
         if k % 10 == 9:
             assert max(depth(m, above(ground, at)) for m in closed) < OVER
             on_ground = at.footing.mesh == 0
-            assert (at.up[on_ground][:, 1] > 0).all()  # nobody below the ground
+            assert (at.up[on_ground][:, 1] > 0).all()  # no agent below the ground
     measures.good()
     assert (
         {(0, k) for k in range(1, 5)} <= mesh_changes
@@ -196,7 +196,7 @@ def test_a_broken_mesh_is_walked_like_the_mesh_that_was_meant() -> None:
 
 
 def held(name: str, mesh: Mesh, n: int, steps: int) -> None:
-    """A crowd on a shape: on it, not lost, and nobody through a wall."""
+    """A crowd on a shape: on it, not lost, and no agent through a wall."""
     walked = long_walk(name, mesh, n, steps)
     walked.measures.good()
     assert walked.agents > 0.9 * n and walked.through == 0 and walked.missed == 0, walked
@@ -207,7 +207,7 @@ def test_no_agent_goes_through_a_wall_or_round_the_border_of_a_sheet(name: str) 
     held(name, SHAPES.SHAPES[name](), 2 * N, STEPS)
 
 
-NOTCHES = {  # outlines across a block, whose roof is folded down between (10, 10) and where it goes up again
+NOTCHES = {  # outlines across a block, with a roof that is folded down between (10, 10) and where it goes up again
     "through the floor": [[10, 10], [10, -6], [9.6, 10]],
     "sharp, just through the floor": [[10, 10], [10, -0.3], [9.9, 10]],
     "with corners in the plane of the floor": [[10, 10], [10, 0], [9.8, -3], [9.6, 10]],

@@ -101,7 +101,7 @@ def test_a_scene_leads_a_line_of_its_crowd_and_explain_says_so(tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "words"),
+    ("old", "new", "words"),
     [
         ("[0, 0, 2]", "[0, 0, 0]", "leads nowhere"),
         ("speed: 3 u/s", "speed: 3 mm", "`3 mm` is not a speed"),
@@ -109,6 +109,6 @@ def test_a_scene_leads_a_line_of_its_crowd_and_explain_says_so(tmp_path: Path) -
         (", length: 2", "", "length"),
     ],
 )
-def test_what_is_no_walk_is_reported_at_its_place(tmp_path: Path, before: str, after: str, words: str) -> None:
-    shot, report = open_scene(write(tmp_path, SCENE.replace(before, after)))
+def test_what_is_no_walk_is_reported_at_its_place(tmp_path: Path, old: str, new: str, words: str) -> None:
+    shot, report = open_scene(write(tmp_path, SCENE.replace(old, new)))
     assert shot is None and words in " ".join(f"{d.message} {d.help}" for d in report.sorted())

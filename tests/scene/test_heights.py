@@ -124,7 +124,7 @@ def test_the_deviation_is_the_largest_that_is_found_by_looking() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "data", "more", "words"),
+    ("name", "data", "extra", "words"),
     [
         ("h.png", image(SAMPLES.astype(np.uint8), "PNG"), "", "grey with 16 bits"),
         ("h.png", image(np.zeros((4, 4, 3), np.uint8), "PNG"), "", "one channel"),
@@ -142,8 +142,8 @@ def test_the_deviation_is_the_largest_that_is_found_by_looking() -> None:
         ("h.npz", b"PK nothing", "", "damaged"),
     ],
 )
-def test_what_is_no_height_is_reported_at_its_place(name: str, data: bytes, more: str, words: str, tmp_path: Path) -> None:
-    shot, messages = opened(tmp_path, name, data, more)
+def test_what_is_no_height_is_reported_at_its_place(name: str, data: bytes, extra: str, words: str, tmp_path: Path) -> None:
+    shot, messages = opened(tmp_path, name, data, extra)
     assert shot is None and "bad-mesh" in messages and words in messages, messages
 
 

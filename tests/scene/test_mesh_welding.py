@@ -91,11 +91,11 @@ def box(half: float, split: bool, noise: float = 0.0, lid: bool = True) -> bytes
     return b"\n".join([*lines, *(b"f %d %d %d %d" % tuple(k + 1 for k in quad) for quad in quads)])
 
 
-@pytest.mark.parametrize(("kind", "more"), [("surface", ""), ("obstacle", ""), ("solid", ", voxel: 1 mm")])
+@pytest.mark.parametrize(("kind", "extra"), [("surface", ""), ("obstacle", ""), ("solid", ", voxel: 1 mm")])
 @pytest.mark.parametrize("weld", ["41 mm", "60 mm", "1000 m"])
-def test_a_weld_that_leaves_nothing_is_an_error(tmp_path: Path, kind: str, more: str, weld: str) -> None:
+def test_a_weld_that_leaves_nothing_is_an_error(tmp_path: Path, kind: str, extra: str, weld: str) -> None:
     (tmp_path / "box.obj").write_bytes(box(20, split=False))
-    (error,) = findings(tmp_path, f"ground: {{mesh: box.obj{more}, weld: {weld}}}", "around: [0, 0, 0], radius: 5 mm", kind)
+    (error,) = findings(tmp_path, f"ground: {{mesh: box.obj{extra}, weld: {weld}}}", "around: [0, 0, 0], radius: 5 mm", kind)
     assert error.code == "wrong-value" and error.span is not None and error.span.text == weld
     assert f"`weld: {weld}` moves corners of every face of `ground`" in error.message
     assert error.help == "write less than 40 mm, its shortest edge"

@@ -1,4 +1,4 @@
-"""Scenes: what is read, what is refused, and that every refusal has its place and says what to write."""
+"""Scenes: what is read, what is an error, and that every error has its place and says what to write."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def read(text: str | bytes, folder: Path = CASES) -> tuple[Scene | None, Report]
 
 
 def cases() -> list[tuple[str, str]]:
-    """Chunks of `cases/scene/*.yaml`, each after a line `# error: CODE, LINE:COLUMN, WORDS` for every complaint wanted."""
+    """Chunks of `cases/scene/*.yaml`, each after a line `# error: CODE, LINE:COLUMN, WORDS` for every expected message."""
     named_chunks = []
     for path in sorted(CASES.glob("*.yaml")):
         for number, chunk in enumerate(path.read_text(encoding="utf-8").split("\n=====\n")):
@@ -33,7 +33,7 @@ def cases() -> list[tuple[str, str]]:
 
 @pytest.mark.parametrize("chunk", [pytest.param(text, id=name) for name, text in cases()])
 def test_cases(chunk: str) -> None:
-    """Line numbers are those of the text after the comments that say what is wanted."""
+    """Line numbers are those of the text after the comments with expected messages."""
     lines = chunk.splitlines()
     expected = [line.removeprefix("# error: ").split(", ", 2) for line in lines if line.startswith("# error: ")]
     text = "\n".join(line for line in lines if not line.startswith("# error: ")) + "\n"

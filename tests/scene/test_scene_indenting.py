@@ -43,8 +43,8 @@ SHIFTED = [(2, 1, 0), (3, 2, 0), (4, 3, 2), (5, 4, 2), (6, 3, 4), (6, 5, 4), (8,
 SHIFTED += [(11, 3, 2), (12, 2, 4), (12, 3, 4), (12, 5, 4), (13, 6, 4), (14, 3, 2), (17, 1, 2)]
 
 
-@pytest.mark.parametrize(("number", "blanks", "wanted"), SHIFTED)
-def test_a_line_that_is_shifted_is_marked_and_put_back(number: int, blanks: int, wanted: int) -> None:
+@pytest.mark.parametrize(("number", "blanks", "expected"), SHIFTED)
+def test_a_line_that_is_shifted_is_marked_and_put_back(number: int, blanks: int, expected: int) -> None:
     lines = GOOD.splitlines()
     lines[number - 1] = " " * blanks + lines[number - 1].lstrip()
     text = "\n".join(lines) + "\n"

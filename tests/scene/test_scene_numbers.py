@@ -1,4 +1,4 @@
-"""Extreme numbers in every numeric field of a scene end in a located message, or in a run whose state is finite."""
+"""Extreme numbers in every numeric field of a scene end in a located message, or in a run with a finite state."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ camera: {at: [0, 130, 190], look_at: [1, 2, 3], focal: 35 mm}
 lod: {near: 100 mm, far: 200 mm}
 output: {checkpoint: 50}
 """
-# Read by the validators of MeshThing, CurveThing and ItemThing, from files whose reading takes seconds.
+# Read by the validators of MeshThing, CurveThing and ItemThing, from files that take seconds to read.
 ELSEWHERE = {("UsdThing", name) for name in ("at", "rotate", "scale", "voxel", "weld")} | {
     ("UsdEach", "radius"), ("MeshThing", "voxel"), ("StartFrom", "frame"), ("HeightThing", "layer"),
 }  # fmt: skip

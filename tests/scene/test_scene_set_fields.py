@@ -1,4 +1,5 @@
-"""Settings of fields that a scene or the command line gives another value: they act, and what cannot be is told at its place."""
+"""Settings of fields that a scene or the command line gives another value: they act, and impossible values are reported at their
+place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""USD files by prim path: what is read of them, in which units, axes and hand; which files may be opened; what is told else."""
+"""USD files by prim path: what is read of them, in which units, axes and hand; which files may be opened; other messages."""
 
 from __future__ import annotations
 
@@ -480,11 +480,13 @@ SPOTS = """def Xform "food" {
 
 
 @pytest.mark.parametrize(
-    ("goal", "which", "places"),
+    ("goal", "which", "positions"),
     [("food", None, [[0, 0, 0], [1, 0, 2]]), ("a", 0, [[0, 0, 0]]), ("b", 1, [[1, 0, 2]]), ("c", None, [])],
 )
 @pytest.mark.parametrize("key", ["solved", "toward"])
-def test_flows_lead_to_items_of_a_file(tmp_path: Path, key: str, goal: str, which: int | None, places: list[list[float]]) -> None:
+def test_flows_lead_to_items_of_a_file(
+    tmp_path: Path, key: str, goal: str, which: int | None, positions: list[list[float]]
+) -> None:
     (tmp_path / "set.usda").write_text(usda(SPOTS + mesh(), MM))
     (tmp_path / "walker.ant").write_text(HOMING_PROGRAM)
     path = tmp_path / "scene.yaml"
@@ -493,11 +495,11 @@ def test_flows_lead_to_items_of_a_file(tmp_path: Path, key: str, goal: str, whic
         f"  home: {{{key}: {goal}}}\ncrowd:\n  - {{species: walker, from: walker.ant, count: 1}}\n"
     )
     shot, report = open_scene(path, Choices())
-    if places:
+    if positions:
         assert shot is not None, report.errors
         flow = shot.setting.flows["home"]
         assert isinstance(flow, SolvedFlow | SpreadFlow)
-        assert (flow.target.of, flow.target.which, flow.target.positions.tolist()) == ("food", which, places)
+        assert (flow.target.of, flow.target.which, flow.target.positions.tolist()) == ("food", which, positions)
     else:
         [error] = report.errors
         assert error.code == "unknown-thing" and error.span is not None and error.span.text == goal

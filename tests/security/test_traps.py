@@ -1,6 +1,6 @@
 """Every command, in a folder full of traps: no file of it is executed or obeyed, no foreign program starts, no socket is bound.
 
-`ANTDSL_TRAP_PYTHON` names another interpreter whose antdsl is tried, such as that of an older tree."""
+`ANTDSL_TRAP_PYTHON` names another interpreter with an antdsl to test, such as that of an older tree."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ CACHE = ("cache", "cache/*", *SCENE)
 TRIAL = (".antdsl.*.part",)
 # Files of the system that a program changes as it works, below these folders.
 SYSTEM = ("/dev/null", "/dev/tty", "/dev/shm/", "/proc/self/", "/proc/thread-self/", "pipe:", "socket:")
-# Programs besides Python that are started, found by the absolute entries of `PATH`, and why.
+# Programs other than Python that are started, found by the absolute entries of `PATH`, and why.
 KNOWN_PROGRAMS = {"fc-list": "matplotlib lists the fonts of the system", "uname": "Python's `platform` asks for the processor"}
 
 
@@ -214,7 +214,7 @@ def is_expected_socket(text: str, case: Case) -> bool:
 
 
 def may_change(path: str, case: Case, project: TrappedProject) -> bool:
-    """Results of the command, temporary files, stored code, and what Python stores of its own modules."""
+    """Results of the command, temporary files, stored code, and what Python stores of its modules."""
     path = os.path.normpath(os.path.join(os.path.realpath(os.path.dirname(path)), os.path.basename(path)))
     if (inside := below(path, project.folder)) is not None:
         return matches(inside, (*TRIAL, *case.writes))
@@ -255,7 +255,7 @@ def test_every_command_leaves_traps_alone(case: Case, how: str, tmp_path: Path, 
     hold(case, trapped_project(tmp_path, cache_folder, how), how)
 
 
-# Settings of users that name the working directory by mistake, or a project on purpose of somebody else.
+# Settings of users that name the working directory by mistake, or, on purpose, a project of another user.
 SETTINGS = {
     "home_in_project": {"HOME": "{folder}", "PYTHONNOUSERSITE": "1"},
     "cache_in_project": {

@@ -37,7 +37,7 @@ def case(seed: int, count: int, near: float) -> tuple[Neighbours, tuple[np.ndarr
 
 
 def border(x: np.ndarray, v: np.ndarray, radius_sum: float, seconds: float, first: bool) -> tuple[np.ndarray, np.ndarray]:
-    """The least change of a relative velocity to where nobody is met within some time, and the direction away from there.
+    """The least change of a relative velocity to where no agent is met within some time, and the direction away from there.
 
     Velocities that meet are a cone from the circle at `x` / seconds on; candidates are the nearest points of circle and legs."""
     far, middle = float(np.hypot(*x)), x / seconds

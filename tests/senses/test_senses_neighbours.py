@@ -25,8 +25,8 @@ def by_brute_force(x, y, z, ids, qx, qy, qz, qid, radius) -> set[tuple[int, int]
     return set(zip(*(a.tolist() for a in np.nonzero(near)), strict=True))
 
 
-def as_ids(pairs: Pairs, ids: np.ndarray, asker_ids: np.ndarray) -> list[tuple]:
-    rows = zip(asker_ids[pairs.i], ids[pairs.j], pairs.dx, pairs.dy, pairs.dz, pairs.distance, strict=True)
+def as_ids(pairs: Pairs, ids: np.ndarray, seeker_ids: np.ndarray) -> list[tuple]:
+    rows = zip(seeker_ids[pairs.i], ids[pairs.j], pairs.dx, pairs.dy, pairs.dz, pairs.distance, strict=True)
     return [tuple(v.item() for v in row) for row in rows]
 
 

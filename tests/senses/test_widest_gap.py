@@ -16,7 +16,7 @@ def gap_bearing(*bearings: float) -> float | None:
 
 
 @pytest.mark.parametrize(
-    ("bearings", "found"),
+    ("bearings", "expected"),
     [
         ((), None),
         ((30,), -150),  # one: straight away from it
@@ -27,8 +27,8 @@ def gap_bearing(*bearings: float) -> float | None:
         ((45, 135, -135, -45), 0),
     ],
 )
-def test_the_middle_of_the_widest_gap(bearings: tuple[float, ...], found: float | None) -> None:
-    assert gap_bearing(*bearings) == (None if found is None else pytest.approx(found, abs=1e-3))
+def test_the_middle_of_the_widest_gap(bearings: tuple[float, ...], expected: float | None) -> None:
+    assert gap_bearing(*bearings) == (None if expected is None else pytest.approx(expected, abs=1e-3))
 
 
 def test_who_is_not_there_or_on_the_same_spot_does_not_count() -> None:

@@ -26,7 +26,8 @@ OPTIONS = {"backend": "numpy", "chunk": 16_384, "shuffle_rows": None, "on_fault"
 
 
 class Afar(InThisProcess):
-    """A worker that has the files of a parcel, and sees no folder of whoever asks. `lost`: so many files cannot be had."""
+    """A worker that has the files of an input bundle, and sees no folder of the requester. `lost`: so many files cannot be
+    had."""
 
     def __init__(self, bundle: FileBundle, folder: Path, lost: int = 0) -> None:
         super().__init__()

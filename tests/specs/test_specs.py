@@ -1,4 +1,4 @@
-"""Specs run: what each line means, when it fails and what is told; the same on both backends, and nothing of a run is changed."""
+"""Specs run: what each line means, when it fails and its messages; the same on both backends, and nothing of a run is changed."""
 
 from __future__ import annotations
 
@@ -72,7 +72,7 @@ def judged(folder: Path, specs: str, program: str = WALKER, backend: str = "nump
 
 
 def spec(line: str, name: str = "") -> str:
-    """A spec of one line, called by that line where it has no name of its own."""
+    """A spec of one line, called by that line where it has no name."""
     name = name or line.replace('"', "'")
     return f'spec "{name}" on "scene.yaml" {{ {line} }}\n'
 
@@ -103,7 +103,7 @@ LINES = [
     ("each walker { always: tick <= 2 * mean(walker.tick) + share(load > 9) }", None),
     ("each walker { always: tick <= 0.5 * max(walker.tick) or tick < at_start(total(food.load)) / 4 }", 6),
     ("always: motion.straightness > 0.9 and motion.circling < 5 %", None),
-    ("for 1 s; never: motion.straightness <= 1", None),  # nobody has walked for two seconds: there is no such number
+    ("for 1 s; never: motion.straightness <= 1", None),  # no agent has walked for two seconds: there is no such number
     ("for 1 s; always: motion.straightness <= 1", 11),
 ]
 

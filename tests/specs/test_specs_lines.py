@@ -55,7 +55,7 @@ def test_when_each_line_fails(folder: Path) -> None:  # noqa: F811
 
 
 def walk(kind: str, steps: int | None, since: str, holds: str) -> int | None:
-    """The frame in which an agent fails, whose conditions are so (`#`) or not (`.`) frame by frame."""
+    """The frame in which an agent fails, given its condition frame by frame: true (`#`) or false (`.`)."""
     plan = JudgementPlan(kind, 1, "a", "x", None, (), False, Span(Source("x", ""), 0, 0), None, "y")
     judged, one = Line(plan, steps, None), np.zeros(1, np.int64)
     for frame, (s, h) in enumerate(zip(since, holds, strict=True)):
@@ -100,7 +100,7 @@ def test_who_leaves_while_something_is_awaited_has_failed(tmp_path: Path) -> Non
 
 
 def test_a_share_of_the_seeds_is_enough(folder: Path) -> None:  # noqa: F811
-    """Whether a random number lies above a bound differs from seed to seed: how often is counted, and asked for exactly."""
+    """Whether a random number lies above a bound differs from seed to seed: how often is counted, and required exactly."""
     program = WALKER.replace("born_at = 0", "luck = uniform(0, 1)")
     line = "seeds 1 .. 8; for 0.1 s; always: max(walker.luck) < 0.85"
     plain = judged(folder, spec(line), program)

@@ -1,4 +1,4 @@
-"""Designs of experiments: which points are run, that one seed gives one design, what is told of words that do not fit."""
+"""Designs of experiments: which points are run, that one seed gives one design, messages about words that do not fit."""
 
 from __future__ import annotations
 

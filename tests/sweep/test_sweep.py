@@ -92,7 +92,7 @@ def test_a_key_tells_runs_apart_and_finds_them_again(folder: Path) -> None:
 
 
 def test_a_key_is_that_of_the_scene_opened_by_itself(folder: Path) -> None:
-    """Where a run is made the scene is opened anew, and refused where its key is another."""
+    """Where a run is made the scene is opened again, and an error where its key is another."""
     for job in make_jobs(folder, smell=("30mm", "60mm")):
         shot, _ = open_scene(folder / "scene.yaml", job.choices())
         assert shot is not None and job_key(shot, job.seed, job.until, start_hashes(shot)) == job.key
@@ -124,7 +124,7 @@ def test_a_job_goes_to_another_process_as_json(folder: Path) -> None:
 
 @pytest.mark.slow
 def test_a_process_that_is_killed_costs_no_other_run(folder: Path) -> None:
-    """Both runs under way are done again, one at a time; the one whose process is killed each time is given up."""
+    """Both runs under way are done again, one at a time; the one with a process that is killed each time is given up."""
     long = replace(make_jobs(folder)[0], frames=(1, 900_000), key="long")
     hit: list[int] = []
 

@@ -1,4 +1,4 @@
-"""The command with designs: what it writes, that it stops early, that it goes on as it was asked. Runs are a formula."""
+"""The command with designs: what it writes, that it stops early, that it resumes with its options. Runs are a formula."""
 
 from __future__ import annotations
 

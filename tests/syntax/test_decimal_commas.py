@@ -1,4 +1,4 @@
-"""`0,4` for `0.4`: told at its place with what to write, wherever a number can stand, and two values stay two values."""
+"""`0,4` for `0.4`: reported at its place with what to write, wherever a number can stand, and two values stay two values."""
 
 from __future__ import annotations
 

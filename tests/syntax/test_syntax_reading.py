@@ -1,4 +1,4 @@
-"""Opening files: what is refused and why, and what is put right on the way."""
+"""Opening files: what is an error and why, and what is corrected on the way."""
 
 from __future__ import annotations
 

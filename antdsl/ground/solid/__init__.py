@@ -1,8 +1,8 @@
-"""Solids: what agents can dig. A sparse signed distance to sample, carve, mesh and walk on.
+"""Solids: volumes that agents can dig. A sparse signed distance field to sample, carve, mesh and walk on.
 
-`voxelising` turns a closed mesh into `bricks` of nodes (inside by winding numbers, near distances by `triangles`), `volume`
-is the door and gives the zero level as triangles: `trilinear` samples between nodes, `carving` digs balls out, `walking` keeps
-feet on the zero level."""
+`voxelising` turns a closed mesh into `bricks` of nodes (inside by winding numbers, near distances by `triangles`). `volume` is
+the interface for other packages and gives the zero level as triangles. `trilinear` samples between nodes, `carving` digs balls
+out, and `walking` moves feet along the zero level."""
 
 from __future__ import annotations
 

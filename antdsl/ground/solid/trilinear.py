@@ -1,5 +1,7 @@
-"""The field between the nodes: trilinear in each cell, continuous everywhere, with its exact gradient. Worked out in float64.
-Places come onto its zero level by Newton steps along the gradient, bounded, and along the hint where the field is flat."""
+"""The field between the nodes, in float64: trilinear in each cell, continuous everywhere, with its exact gradient.
+
+Newton steps of limited length along the gradient move points onto the zero level; where the field is flat they follow the
+hint."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ class Action:
 
 
 def actions(workspace: Workspace, document: Document, start: int, end: int) -> list[Action]:
-    """What could be put right between two offsets."""
+    """Return the edits that correct findings between two offsets."""
     fixes = []
     for complaint in workspace.complaints(document.path):
         span = complaint.span

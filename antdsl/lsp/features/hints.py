@@ -26,7 +26,7 @@ class Hint:
 
 
 def hints(workspace: Workspace, document: Document) -> list[Hint]:
-    """The hints of a program, in text order."""
+    """Return the hints of a program in text order."""
     fps = frame_rate(workspace, document)
     all_hints = [hint for item in document.parsed[0].items for hint in _item_hints(item, fps)]
     return sorted(all_hints, key=lambda hint: document.start(hint.span))
@@ -67,7 +67,7 @@ def _rank_hints(node: nodes.Layers) -> Iterator[Hint]:
 
 
 def _frame_hint(node: nodes.Quantity, fps: Fraction | None) -> Hint | None:
-    """Durations become whole steps by rounding up."""
+    """Return how many frames a duration takes, rounded up to whole steps."""
     known = measure(node.unit)
     if known is None or known.dim != TIME or known.step:
         return None

@@ -116,7 +116,7 @@ class Elements(Arithmetic):
     def row(self, node: ast.AST, of: Array, index: Number) -> Array:
         """Return the part of an array at an index of the first axis, with one axis less."""
         if index.wide:
-            self.fail(node, "a part of an array is the same one for all turns side by side")
+            self.fail(node, "all lanes use the same part of an array: its index cannot depend on the turn")
         self.check_index(node, index, of.lengths[0])
         step = constant(1) if of.steps is None else of.steps[0]
         for each in of.lengths[1:] if of.steps is None else ():

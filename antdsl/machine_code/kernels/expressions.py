@@ -41,7 +41,7 @@ class Expressions(Elements):
     def number(self, node: ast.expr) -> Number:
         value = self.value(node)
         if not isinstance(value, Number):
-            self.fail(node, "a number is wanted here")
+            self.fail(node, "this must be a number")
         return value
 
     def truth(self, node: ast.expr) -> Number:
@@ -234,7 +234,7 @@ class Expressions(Elements):
         """Return the offset of an index from the first element of an array, in elements."""
         parts = index.elts if isinstance(index, ast.Tuple) else [index]
         if len(parts) != len(array.lengths):
-            self.fail(node, "an index for each axis is wanted")
+            self.fail(node, "an array needs one index for each axis")
         return self.offset(node, array, [self.number(part) for part in parts])
 
     def _index_item(self, node: ast.expr, of: Item, index: ast.expr) -> Item:
@@ -256,7 +256,7 @@ class Expressions(Elements):
             return None
         known = self.number(number).known
         if not isinstance(known, int):
-            self.fail(node, "whole numbers of the text are wanted here")
+            self.fail(node, "these must be whole numbers that are written in the source")
         return known
 
     def _call(self, node: ast.Call, function: ast.expr, arguments: list[ast.expr]) -> Item:
@@ -282,7 +282,7 @@ class Expressions(Elements):
             written = None
         if written is not None:
             if not all(isinstance(each, Number) for each in inputs):
-                self.fail(node, "numbers are wanted here")
+                self.fail(node, "these must be numbers")
             return written(self, *inputs)
         return self.call_function(node, known, inputs)
 
@@ -342,17 +342,17 @@ class Expressions(Elements):
     def _load_elements(self, node: ast.Call, known: Any, inputs: list[Item]) -> Item:
         """Several elements of an array at once."""
         if len(inputs) < 2 or not (isinstance(inputs[0], Array) and isinstance(inputs[1], Number)):
-            self.fail(node, "an array and an index are wanted")
+            self.fail(node, "this needs an array and an index")
         array, at, *others = inputs
         if known is fetch_ahead:
             return self.fetch_ahead(array, at)
         if known is load_consecutive:
             count = others[0].known
             if not isinstance(count, int) or count % 4 or not 0 < count <= MOST:
-                self.fail(node, f"a multiple of 4 up to {MOST} that stands in the text is wanted")
+                self.fail(node, f"this must be a multiple of 4 up to {MOST} that is written in the source")
             return self.load_consecutive(node, array, at, count)
         if len(array.lengths) != 2 or array.steps is not None or array.of.kind not in (DOUBLE, FLOAT):
-            self.fail(node, "an array (n, 3) of floats in one piece is wanted")
+            self.fail(node, "this must be a contiguous array (n, 3) of floats")
         if known is three:
             return self.three(node, array, at)
         self.put_three(node, array, at, others[0])

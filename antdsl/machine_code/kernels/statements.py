@@ -113,7 +113,7 @@ class Writer(Expressions):
                 self.assign(node, name, item)
             case ast.Tuple(elts=parts):
                 if not isinstance(item, tuple) or len(parts) != len(item):
-                    self.fail(node, f"{len(parts)} values are wanted")
+                    self.fail(node, f"this needs {len(parts)} values")
                 for part, each in zip(parts, item, strict=True):
                     self._assign_target(node, part, each)
             case ast.Subscript(value=of, slice=ast.Slice(lower=None, upper=None)):

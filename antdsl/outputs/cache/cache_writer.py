@@ -184,8 +184,8 @@ class CacheWriter:
 
     `made_with` returns what the manifest says about this process. It reads all of antdsl's files, so the writing thread calls it.
 
-    `told` receives results about each frame, some frames later, all before `__exit__` returns. `hash` and `surface_error` of all
-    frames so far come once the frame is written; the error is None if that of earlier frames is unknown. `seconds` are by
+    The callback receives results about each frame, some frames later, all before `__exit__` returns. `hash` and `surface_error`
+    of all frames so far come once the frame is written; the error is None if that of earlier frames is unknown. `seconds` are by
     name."""
 
     def __init__(

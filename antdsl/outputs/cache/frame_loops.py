@@ -1,8 +1,8 @@
-"""Loops of `frames`, `agent_arrays`, `pose_arrays` and `surface_error`: one pass over the agents
-for an array, or for all that a machine plays. Those whose last arguments are `begin` and `end` run in parallel chunks.
+"""Loops of `frames`, `agent_arrays`, `pose_arrays` and `surface_error`: one pass over the agents for an array, or for all clips
+of a machine. Loops with the last arguments `begin` and `end` run in parallel chunks.
 
-What takes several numbers of an agent goes by rows, as they lie in memory, and writes to the place of the agent's rank by id: one
-such write costs less than several reads here and there."""
+A loop that reads several numbers of an agent follows the rows in memory and writes to the index of the agent's rank by id. One
+scattered write costs less than several scattered reads."""
 
 from __future__ import annotations
 

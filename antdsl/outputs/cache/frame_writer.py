@@ -1,7 +1,7 @@
-"""Writing in a thread beside the simulation, in order: frames and checkpoints, with lines that tell of them.
+"""Writes frames and checkpoints in order, in a thread beside the simulation, with a message about each.
 
-A thread, and no process: it is handed arrays as they are and nobody changes any more, where a process would need them copied
-into memory that both see; and nearly all that it does (checksums, hashes, files) is done without the interpreter's lock."""
+A thread and not a process: it receives arrays that no code changes any more, without a copy into shared memory. Nearly all its
+work (checksums, hashes, files) runs without the interpreter's lock."""
 
 from __future__ import annotations
 
@@ -83,10 +83,10 @@ def _elapsed(what: str, since: float) -> Measures:
 
 
 class BackgroundWorker:
-    """Does jobs one after the other. `told` receives the result of each in the caller's thread: when the next is passed, or at
-    the end.
+    """Runs jobs one after the other. The callback receives the result of each job in the caller's thread: when the next job is
+    passed, or at the end.
 
-    After an error nothing more is done; the next call raises it."""
+    After an error no job runs; the next call raises the error."""
 
     def __init__(self, report: Callable[[Results], None]) -> None:
         self._told = report

@@ -19,12 +19,11 @@ from antdsl.bodies.body import vertex_normals
 from antdsl.bodies.files.gltf_writer import GltfWriter, ShapeParts
 from antdsl.bodies.posed_body import PosedBody
 from antdsl.outputs.exports.gltf_stage import Stage
-from antdsl.outputs.exports.poses_export import FEWER, NONE, Worn, placement_matrices, worn_crowds
+from antdsl.outputs.exports.poses_export import FEWER, NONE, Worn, posed_rows, worn_crowds
 from antdsl.outputs.gallery import Gallery
 from antdsl.outputs.numbered_files import NoExport
 from antdsl.outputs.pictures.light import decode_srgb
 from antdsl.outputs.pictures.model import Crowd
-from antdsl.outputs.exports.poses_export import FEWER, NONE, Worn, posed_rows, worn_crowds
 from antdsl.whole import write_atomically
 
 _AGENTS, _BYTES = 1000, 1 << 28  # the most that one file is good for

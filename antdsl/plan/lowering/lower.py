@@ -1,8 +1,8 @@
-"""The checked program into a plan: species by species, then fields, items and params.
+"""Lowers the checked program to a plan: species by species, then fields, items and params.
 
-`on collision(other)` is about whom an agent's body has begun to touch, one other in each step. Whom it touches already is kept
-in registers of ids, so that a contact is noticed when it begins and not as long as it lasts. Of several that begin at once the
-deepest is noticed first, and the others in the steps after it, while they last: every line of a handler is about one other."""
+`on collision(other)` runs when an agent's body begins to touch another one, for one other in each step. Registers store the ids
+of the agents that it touches already, so that a contact is handled when it begins and not as long as it lasts. If several
+contacts begin in one step, the deepest is handled first and the others in the next steps, while they last."""
 
 from __future__ import annotations
 

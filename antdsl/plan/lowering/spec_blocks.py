@@ -29,7 +29,7 @@ _OF_ITEMS = "items have a position, a radius and their own values"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AggregatePlan:
-    """A number about all agents of a species, items of a name, cells of a field or a solid, passed to the nodes `told NAME`.
+    """A number about all agents of a species, items of a name, cells of a field or a solid, passed to nodes by its name.
 
     `where` and `body` are registers that `decide` has filled; `amount` is an item's attribute that is taken as it is stored."""
 

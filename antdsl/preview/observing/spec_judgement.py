@@ -55,8 +55,8 @@ class SpecStatus:
 
 
 class Specs:
-    """All specs of a session's program. `wanted` are those that are judged at any cost; `tell` gets a message whenever the status
-    of one changes."""
+    """All specs of a session's program. Specs that a client requires are judged at any cost. `tell` receives a message whenever
+    the status of a spec changes."""
 
     def __init__(self, tell: Callable[[dict[str, Any]], None] = lambda message: None) -> None:
         self.tell, self.wanted = tell, frozenset[str]()

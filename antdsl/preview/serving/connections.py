@@ -1,5 +1,5 @@
-"""What a connection may cost before and after somebody is let in: how many there are, how many frames, in how many pieces, and
-how much one client may request in a time."""
+"""Limits of connections before and after a client is admitted: how many connections, how many frames, in how many pieces, and
+how much one client may request in a given time."""
 
 from __future__ import annotations
 

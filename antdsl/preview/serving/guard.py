@@ -1,12 +1,12 @@
-"""Who is let in: by the name that the server was called by, by the page that calls, and by a token that only the terminal
-shows.
+"""Decides which clients the server admits: by the host name of the request, by the origin of the page, and by a token that only
+the terminal shows.
 
-The three are checked each for itself. The name is never compared with the origin: after DNS rebinding both are the attacker's.
+The three are checked separately. The host name is never compared with the origin: after DNS rebinding both are the attacker's.
 
-A page is let in again that a server of the same scene, on the same port, had let in before it was started again. The token is
-a new one each time. What lasts is a key that a page is given once it is in, and that it never sends: it only signs what it is
-asked for, so that whoever listens at the port meanwhile learns nothing that is of use later. The keys of the last few starts
-lie in a file that nobody but the user may read; where that cannot be had, none are kept, and a page has to be opened anew."""
+After a restart, the server of the same scene on the same port admits the pages of the server before it. The token is new each
+time. A page receives a key when it is admitted and never sends it: the page only signs challenges with it. So another program
+that listens at the port in between learns nothing useful. The keys of the last few starts are in a file that only the user may
+read. Where no such file is possible, no keys are stored, and the user has to open the page again."""
 
 from __future__ import annotations
 

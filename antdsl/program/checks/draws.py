@@ -1,4 +1,5 @@
-"""Numbers drawn in a condition: every step draws again, so how often it holds depends on the frame rate."""
+"""Reports numbers that are drawn in a condition. Every step draws again, so the frame rate changes how often the condition
+holds."""
 
 from __future__ import annotations
 
@@ -65,7 +66,7 @@ def _walk_through(root: Expr, through: Collection[str]) -> Iterator[Expr]:
 
 
 def _chance_rate(part: Op) -> str | None:
-    """`uniform(0, 1) < 0.1` as a chance per second."""
+    """Return `uniform(0, 1) < 0.1` as a chance per second."""
     left, right = part.args
     assert left is not None and right is not None
     name = part.name

@@ -55,7 +55,7 @@ def _has_wait(state: State, change: Transition) -> bool:
 
 
 def _is_overlapping(reader: ConditionReader, one: Expr, other: Expr) -> bool:
-    """Return whether both compare the same value with constants, and some value satisfies both."""
+    """Return whether both conditions compare the same value with constants, and some value satisfies both."""
     try:
         cases = [reader.cases(one), reader.cases(other)]
     except NOT_FOLLOWED:
@@ -67,7 +67,7 @@ def _is_overlapping(reader: ConditionReader, one: Expr, other: Expr) -> bool:
 
 
 def _changes_test(machine: Machine, edge: tuple[State, Transition], test: Expr) -> bool:
-    """Return whether that transition sets something that the test on the other side reads, or restarts its clock."""
+    """Return whether a transition sets a value that the opposite condition reads, or restarts its clock."""
     state, change = edge
     assert change.target is not None
     blocks = (state.exit, change.actions, machine.states[change.target].enter)

@@ -24,8 +24,8 @@ class Effect:
     what it names with what others look for, as a field gets scent and an event is raised.
 
     `plan_text` is its line of a plan and `trace` that of a trace. `{of}` is what it names, `{own}` the agent's register that it
-    fills after the blocks. `{whom}` (in a trace) is the species of the one agent that it is for; operands are by name. A part in
-    square brackets is left out if one of these is missing. `refused`: the name of the fault if an operand is not finite; "" if
+    fills after the blocks. `{receiver}` (in a trace) is the species of the one agent that it is for; operands are by name. A part
+    in square brackets is left out if one of these is missing. `refused`: the name of the fault if an operand is not finite; "" if
     that does not matter. `above_0`: nothing is requested if the first operand is 0 or less; `quiet_at_0`: a trace omits a first
     operand of 0."""
 
@@ -111,7 +111,7 @@ _ROWS = (
         "raises an event for all agents that handle it within a distance (mm; none: only for itself), or for one agent "
         "alone (if it is in reach, where a distance is given), seen at t+1",
         "emit {of}[ within {within}][ to {to}]",
-        "emit {of}[ within {within} mm][ to {whom} {to}]",
+        "emit {of}[ within {within} mm][ to {receiver} {to}]",
         feeds=True,
         cost=Cost(50, "raises {thing}"),
     ),

@@ -240,11 +240,11 @@ _ROWS = (
     Sense(
         "contact",
         "species",
-        (Part("whom", "l"), *(Part(f"touched{number}", "l") for number in range(1, limits.TOUCHED + 1))),
+        (Part("other", "l"), *(Part(f"touched{number}", "l") for number in range(1, limits.TOUCHED + 1))),
         "the id of the deepest agent that the body has begun to touch, -1 for none, and of all that it touches then; operands: "
-        "of those whom it touched until now",
+        "ids of the agents that it touched before",
         operands="l" * limits.TOUCHED,
-        trace="begins to touch agent {whom:.0f}",
+        trace="begins to touch agent {other:.0f}",
     ),
 )
 SENSES: dict[str, Sense] = {row.op: row for row in _ROWS}

@@ -1,5 +1,6 @@
-"""Which argument is which: the arguments of a call as written are put in the order of what is called, by place or by name.
-Where a place is wanted, items and species stand for the nearest of them, everything else that is somewhere for itself."""
+"""Matches the arguments of a call with its parameters: written by position or by name, they are put in the order of parameters.
+
+Where a parameter is a point, items and species mean their nearest member, and anything else with a position means itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Golden runs: what a run came to, kept as text beside its scene, and held against later runs.
+"""Golden runs: the results of a run, stored as text beside its scene and compared with later runs.
 
-`recorded` writes and reads the text, made of the `fingerprints` of each frame, which tell what differs, attribute by attribute.
-`comparing` decides in one `antdsl test` which run is held against which."""
+`recorded` writes and reads the text. It contains the `fingerprints` of each frame, which show the attributes that differ.
+`comparing` decides which run `antdsl test` compares with which recording."""

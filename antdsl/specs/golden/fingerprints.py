@@ -50,7 +50,7 @@ class Column:
         return f"{self.who}.{self.what}" if self.what else self.who
 
     def bits(self) -> NDArray[np.uint64]:
-        """The values' bits, each in 64."""
+        """Return the bits of the values, 64 for each value."""
         if self.values.dtype.itemsize == 8:
             return self.values.view(np.uint64)
         if self.values.dtype.itemsize == 4:
@@ -58,12 +58,12 @@ class Column:
         return self.values.astype(np.uint64)
 
     def sums(self) -> tuple[int, int]:
-        """The sum and the weighted sum of the bits, modulo 2^64."""
+        """Return the sum and the weighted sum of the bits, modulo 2^64."""
         bits = self.bits()
         return int(bits.sum(dtype=np.uint64)), int(((self.ids + 1).astype(np.uint64) * bits).sum(dtype=np.uint64))
 
     def one(self, was: tuple[int, int]) -> tuple[int, Any] | None:
-        """Return the row of the only value that changed since the sums were `was`, and its old value; None if several changed."""
+        """Return the row and the old value of the only value that changed since the sums were `was`; None if several changed."""
         now = self.sums()
         changed, weighted = ((b - a) % 2**64 for a, b in zip(was, now, strict=True))
         matching_rows = np.flatnonzero((self.ids + 1).astype(np.uint64) * np.uint64(changed) == np.uint64(weighted))
@@ -97,7 +97,7 @@ class Column:
 
 
 def columns(world: World, program: Program) -> dict[str, Column]:
-    """All that a state consists of, by key."""
+    """Return all columns of a state by key."""
     column_list: list[Column] = []
     for name in sorted(world.populations):
         column_list += _agent_columns(world, program, world.populations[name])
@@ -126,7 +126,7 @@ def _part_digests(world: World) -> dict[str, bytes]:
 
 
 def _agent_columns(world: World, program: Program, population: Population) -> list[Column]:
-    """Return columns of what an author knows by a name. The rest, memories and footings, is combined in one column."""
+    """Return one column for each value that the author names. Memories and footings are combined in one column."""
     rows = population.in_id_order()
     ids, name = population.ids[rows], population.name
     species = program.species[name]
@@ -228,7 +228,7 @@ def find_differences(
 
 
 def _has_other_agents(now: Mapping[str, Column], was: Mapping[str, tuple[str, str, str]], species: str) -> bool:
-    """Return whether the agents are not the same as before: then their values cannot be compared."""
+    """Return whether the agents differ from the recorded ones; their values cannot be compared then."""
     key = f"{species}.id"
     return key in now and key in was and now[key].sums() != (int(was[key][0], 16), int(was[key][1], 16))
 

@@ -31,8 +31,8 @@ class Leaf:
 
 @dataclass(slots=True)
 class Slot:
-    """The content between two commas, with the comma. `lead`: comments on lines before it; `trail`: the comment after it;
-    `inner`: those in its middle, with the index of the node after each."""
+    """The content between two commas, with the comma. `lead`: comments on lines before it. `trail`: the comment after it.
+    `inner`: comments in its middle, each with the index of the next node."""
 
     nodes: list[Node] = field(default_factory=list)
     lead: list[n.Comment] = field(default_factory=list)
@@ -139,7 +139,7 @@ class Reader:
         return Leaf(text, blank, token.kind, joins)
 
     def needs_blank(self, token: Token, text: str) -> bool:
-        """Whether a blank stands before a token."""
+        """Return whether a blank is needed before a token."""
         if self.last is None:
             return False
         previous_text = "".join(self.scan.clean[self.last.start : self.last.end])
@@ -151,7 +151,7 @@ class Reader:
 
 
 def _is_comprehension(slot: Slot) -> bool:
-    """`n in SET:`, the colon being the last node."""
+    """Return whether the nodes are `n in SET:`, with the colon as the last node."""
     second = slot.nodes[1] if len(slot.nodes) > 3 else None
     return isinstance(second, Leaf) and second.text == "in"
 

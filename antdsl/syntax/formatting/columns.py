@@ -1,4 +1,4 @@
-"""Successive lines of one kind → the same with aligned marks: `->`, `=`, values, helps, comments."""
+"""Aligns the marks of successive lines of one kind: `->`, `=`, values, helps, comments."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ Mark = Callable[[Sequence[Node | Block]], int | None]
 
 
 def _find_sign(sign: str) -> Mark:
-    """Where a sign stands outside all brackets."""
+    """Return a function that finds the index of a sign outside all brackets."""
 
     def place(parts: Sequence[Node | Block]) -> int | None:
         return next((k for k, part in enumerate(parts) if k and isinstance(part, Leaf) and part.text == sign), None)
@@ -122,7 +122,7 @@ def _align_run(rows: Sequence[Row]) -> list[str]:
 
 
 def _next_column(texts: Sequence[str], gap: int) -> int:
-    """Where what follows texts begins."""
+    """Return the column after the longest text and the gap; texts longer than `MOST` do not count."""
     return max((len(text) + gap for text in texts if len(text) <= MOST), default=0)
 
 

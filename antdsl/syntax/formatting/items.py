@@ -1,7 +1,7 @@
-"""A parsed file → the items of its layout: statements with their blocks, and comments, each where it belongs.
+"""Converts a parsed file to the items of its layout: statements with their blocks, and comments with their positions.
 
-Tokens and lines are those of the parser. The tree is only used to find which brackets follow a function and which minus has
-nothing on its left."""
+Tokens and lines are those of the parser. The tree is only used to find which brackets follow a function, and which minus signs
+have nothing on their left."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Block:
 @dataclass(slots=True)
 class Statement:
     """A statement: its words and brackets, with a `Block` in place of each pair of braces. `rule`: the grammar rule of its
-    block's lines; `comment`: the one after it."""
+    block's lines. `comment`: the comment after the statement."""
 
     rule: str
     parts: list[Node | Block]
@@ -48,7 +48,7 @@ class Statement:
 
     @property
     def words(self) -> list[str]:
-        """The first words, up to the first bracket or block."""
+        """Return the first words, up to the first bracket or block."""
         found: list[str] = []
         for part in self.parts:
             if not isinstance(part, Leaf):
@@ -66,7 +66,7 @@ def needs_own_lines(part: Node | Block) -> bool:
 
 
 def read_items(file: n.File) -> list[Item]:
-    """The items of a file that was parsed without an error."""
+    """Return the items of a file that was parsed without an error."""
     scanned = scan(file.source, Report())
     tokens = pair_brackets(scanned)
     assert tokens is not None, "a file with too many brackets open was not parsed without an error"
@@ -181,7 +181,7 @@ class _ItemReader:
         return Block(item_list, self.is_one_line(group, item_list, head), head)
 
     def is_one_line(self, group: Group, item_list: list[Item], head: str | None) -> bool:
-        """Return whether a block may be on one line: none of its statements begins a line, and nothing in it has to."""
+        """Return whether a block may be on one line: it has no line ends or comments, and no part of it needs separate lines."""
         if not item_list and head is None:
             return True
         for item in item_list:

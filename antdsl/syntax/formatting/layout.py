@@ -39,8 +39,8 @@ def format(source: Source) -> tuple[str | None, Report]:
 
 
 def report_too_long(source: Source, text: str, report: Report) -> bool:
-    """Report a text that exceeds the limits only after layout. Broken lines are joined before a long help, and blanks need
-    space."""
+    """Report a text that exceeds the limits only after layout, and return whether it does. Joined lines and added blanks can make
+    a text longer."""
     line = max(text.split("\n"), key=len).strip()
     if len(line) > limits.LINE_CHARACTERS:
         message = f"line that begins with `{line[:40]}` would have more than {limits.LINE_CHARACTERS} characters"
@@ -52,8 +52,8 @@ def report_too_long(source: Source, text: str, report: Report) -> bool:
 
 
 def first_difference(one: n.File, other: n.File) -> str | None:
-    """Return what differs between two files, except locations, in a few words; None if they are the same program with the same
-    comments."""
+    """Return the first difference between two files, except locations, in a few words. None if they are the same program with the
+    same comments."""
     ours, theirs = ([comment.text.rstrip() for comment in file.comments] for file in (one, other))
     if ours != theirs:
         return next((f"comment `{a}` became `{b}`" for a, b in zip(ours, theirs, strict=False) if a != b), "a comment was lost")

@@ -1,5 +1,5 @@
-"""The items of a text → its lines. A line that is too long is broken inside its brackets. A block stays on one line if its author
-wrote it so and it fits."""
+"""Converts the items of a text to lines. A line that is too long is broken inside its brackets. A block stays on one line if the
+author wrote it on one line and it fits."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _make_row(item: Item, indent: int) -> Row:
 
 
 def _flat_text(parts: Sequence[Part]) -> str:
-    """Parts on one line."""
+    """Return parts as text on one line."""
     return "".join(_flat_block(part) if isinstance(part, Block) else part.flat for part in parts)
 
 
@@ -47,7 +47,7 @@ def _flat_block(block: Block) -> str:
 
 
 def _statement_lines(parts: Sequence[Part], indent: int) -> list[str]:
-    """The lines of a statement, the first without its indent."""
+    """Return the lines of a statement; the first has no indent."""
     blocks = [k for k, part in enumerate(parts) if isinstance(part, Block)]
     opened = [k for k in blocks if needs_own_lines(parts[k])]
     for start, end in zip([-1, *opened], [*opened, len(parts)], strict=True):

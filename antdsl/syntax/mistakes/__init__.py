@@ -1,5 +1,5 @@
-"""What people write that is not the language, and what to write instead.
+"""Mistakes in programs, with the text to write instead.
 
-`number_slips` are slips of numbers and units, `stray_text` characters from other keyboards and what was pasted with a program
-(marks of a merge, fences of Markdown), `continued_lines` lines that go on without a bracket. `unexpected_tokens` makes
-one complaint of what the parser found and what it could have taken."""
+`number_slips` has mistakes in numbers and units. `stray_text` has characters from other keyboards and pasted text, such as marks
+of a merge or fences of Markdown. `continued_lines` has lines that continue without a bracket. `unexpected_tokens` makes one
+message from what the parser found and what it could have accepted."""

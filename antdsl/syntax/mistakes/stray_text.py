@@ -1,6 +1,7 @@
-"""A first look over a whole text: characters that do not show, marks of a merge, fences of Markdown, lines without end. Each
-is reported and blanked, so that the words around it can be read. Letters, digits, quotes and signs that people type or paste
-in place of the ones of the language are listed too."""
+"""Checks a complete text for invisible characters, marks of a merge, fences of Markdown, and lines without end.
+
+Each is reported and replaced by blanks, so that the words around it can be read. The module also lists letters, digits, quotes
+and signs that people type or paste instead of those of the language."""
 
 from __future__ import annotations
 
@@ -64,7 +65,7 @@ _FENCE = re.compile(r"^[ \t]*(```|~~~).*$", re.MULTILINE)
 
 
 def check_stray_text(scan: Scan) -> None:
-    """Report what no text may contain, anywhere."""
+    """Report characters that are not allowed anywhere in a text."""
     _report_forbidden(scan)
     _report_invisible(scan)
     _report_markers(scan)
@@ -84,8 +85,7 @@ def _report_forbidden(scan: Scan) -> None:
 
 
 def _report_invisible(scan: Scan) -> None:
-    """Report invisible characters in comments and texts. Those that join or separate letters belong to the spelling of some
-    languages."""
+    """Report invisible characters in comments and texts, except characters that join or separate letters in some languages."""
     text = scan.source.text
     for said in _SAID.finditer(text) if not text.isascii() else ():
         for match in _UNSEEN.finditer(text, said.start(), said.end()):

@@ -11,7 +11,7 @@ SIGHT = 10.0
 
 
 def main() -> None:
-    """Begin anew for each turn."""
+    """Start again for each turn."""
     agents, steps = read_arguments()
     side = SIGHT * sqrt(agents * pi / NEIGHBOURS)
 

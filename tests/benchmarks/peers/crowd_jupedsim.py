@@ -1,5 +1,5 @@
-"""People of JuPedSim (C++, float64) on an open place: its collision-free speed model, each on a course of its own, as many within
-3 m as in the case `crowd`; farther off it looks at nobody. `crowd_jupedsim.py AGENTS STEPS`."""
+"""People of JuPedSim (C++, float64) on an open place: its collision-free speed model, each on its own course, as many within
+3 m as in the case `crowd`; it ignores people farther off. `crowd_jupedsim.py AGENTS STEPS`."""
 
 from __future__ import annotations
 

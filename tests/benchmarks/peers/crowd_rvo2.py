@@ -1,4 +1,4 @@
-"""People of RVO2 (C++, float32) by the package `pyrvo`: each keeps to a course of its own, with the numbers of the case `crowd`.
+"""People of RVO2 (C++, float32) by the package `pyrvo`: each follows its own course, with the numbers of the case `crowd`.
 `crowd_rvo2.py AGENTS STEPS`. The wished velocities are set once: a step is `doStep` alone."""
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ DT, SIGHT, MOST, HORIZON, RADIUS, SPEED = 1 / 24, 3.0, 10, 2.0, 0.22, 1.35
 
 
 def main() -> None:
-    """Begin anew for each turn, so that the crowd has not spread."""
+    """Start again for each turn, so that the crowd has not spread."""
     agents, steps = read_arguments()
     positions, courses = crowd(agents, SIGHT)
 

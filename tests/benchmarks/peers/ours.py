@@ -1,5 +1,5 @@
-"""A case of `antdsl bench` on one thread: `ours.py CASE BACKEND AGENTS STEPS`. A case whose neighbours are counted begins anew
-for each turn, as the others' do; another runs on."""
+"""A case of `antdsl bench` on one thread: `ours.py CASE BACKEND AGENTS STEPS`. A case with counted neighbours starts again
+for each turn, as the other programs do; any other case continues."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ def crowd(agents: int, sight: float) -> tuple[Points, Points]:
     """Places about zero that have NEIGHBOURS others within `sight`, a grid that is disturbed so that no two overlap; and a unit
     course for each."""
     draw = random.Random(1)
-    cell = sight * sqrt(pi / (NEIGHBOURS + 1))  # the own cell has nobody else
+    cell = sight * sqrt(pi / (NEIGHBOURS + 1))  # the own cell has no other agent
     wide = int(sqrt(agents)) + 1
     shaken = [(draw.uniform(-0.3, 0.3), draw.uniform(-0.3, 0.3)) for _ in range(agents)]
     positions = [((k % wide - wide / 2 + x) * cell, (k // wide - wide / 2 + y) * cell) for k, (x, y) in enumerate(shaken)]

@@ -1,4 +1,5 @@
-"""Programs whose numbers go wrong: N2 to N5 and N8 to N13. What is not finite reaches no agent: it is a fault with its place."""
+"""Programs with numbers that go wrong: N2 to N5 and N8 to N13. What is not finite reaches no agent: it is a fault with its
+place."""
 
 from __future__ import annotations
 

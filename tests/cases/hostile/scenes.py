@@ -8,23 +8,23 @@ _TEXT = SCENE.decode()
 
 
 def scene_row(name: str, scene: str | bytes, verdict: str, words: str = "") -> Row:
-    """A row whose scene is this text."""
+    """A row with a scene of this text."""
     return Row(name, verdict, words, {"scene.yaml": scene if isinstance(scene, bytes) else scene.encode()})
 
 
 def edit(name: str, old: str, new: str, verdict: str, words: str = "") -> Row:
-    """A row whose scene has one piece of text replaced."""
+    """A row with a scene in which one piece of text is replaced."""
     assert old in _TEXT, name
     return scene_row(name, _TEXT.replace(old, new, 1), verdict, words)
 
 
 def appended_row(name: str, lines: str, verdict: str, words: str = "") -> Row:
-    """A row whose scene has more lines at its end."""
+    """A row with a scene that has more lines at its end."""
     return scene_row(name, f"{_TEXT}{lines}\n", verdict, words)
 
 
 def ground(name: str, settings: str, verdict: str, words: str = "") -> Row:
-    """A row whose ground has more settings."""
+    """A row with a ground that has more settings."""
     return edit(name, "ground.ply}", f"ground.ply, {settings}}}", verdict, words)
 
 

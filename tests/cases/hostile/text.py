@@ -11,28 +11,28 @@ _STEER = "steer wander(swing: 40 deg)"
 
 
 def program_row(name: str, text: str | bytes, verdict: str, words: str = "", *, warned: bool = False) -> Row:
-    """A row whose program is this text."""
+    """A row with a program of this text."""
     return Row(name, verdict, words, {"walker.ant": text if isinstance(text, bytes) else text.encode()}, warned=warned)
 
 
 def edit(name: str, old: str, new: str, verdict: str, words: str = "", *, warned: bool = False) -> Row:
-    """A row whose program has one piece of text replaced."""
+    """A row with a program in which one piece of text is replaced."""
     assert old in _TEXT, name
     return program_row(name, _TEXT.replace(old, new, 1), verdict, words, warned=warned)
 
 
 def line(name: str, text: str, verdict: str, words: str = "", *, warned: bool = False) -> Row:
-    """A row whose species has one more line."""
+    """A row with a species that has one more line."""
     return edit(name, "  start stroll", f"  {text}\n  start stroll", verdict, words, warned=warned)
 
 
 def value(name: str, text: str, verdict: str, words: str = "") -> Row:
-    """A row whose species has an attribute of this value."""
+    """A row with a species that has an attribute of this value."""
     return line(name, f"calm = {text}", verdict, words)
 
 
 def use(name: str, path: str, verdict: str, words: str = "") -> Row:
-    """A row whose program uses a file of this path."""
+    """A row with a program that uses a file of this path."""
     return edit(name, "use steering", f'use steering\nuse "{path}" as mine', verdict, words)
 
 
@@ -42,7 +42,7 @@ def change(name: str, when: str, verdict: str, words: str = "") -> Row:
 
 
 def used(name: str, files: dict[str, str], verdict: str, words: str = "") -> Row:
-    """A row whose program uses `./a.ant`, with these files."""
+    """A row with a program that uses `./a.ant`, with these files."""
     program = _TEXT.replace("use steering", 'use steering\nuse "./a.ant" as a', 1)
     return Row(name, verdict, words, {"walker.ant": program.encode()} | {k: v.encode() for k, v in files.items()}, warned=True)
 

@@ -41,7 +41,7 @@ def within(inner: str) -> str:
 
 
 def placed(row: str) -> str:
-    """A transform whose first three rows are these."""
+    """A transform with these first three rows."""
     rows = ", ".join([f"({row})"] * 3)
     return f'matrix4d xformOp:transform = ({rows}, (0, 0, 0, 1))\nuniform token[] xformOpOrder = ["xformOp:transform"]'
 
@@ -87,7 +87,7 @@ def unpacked(text: str) -> bytes:
     return zlib.decompress(base64.b85decode(text))
 
 
-# Crates whose tables were changed: USD's own code calls abort(), and asks for 3.7 GB.
+# Crates with changed tables: USD's own code calls abort(), and asks for 3.7 GB.
 ABORTS = unpacked(
     "c-pO0OK;Oa5T0GzjYA+bZ35-lQgLZ{6_pb`;E)CyL0h-6Q4vDIBpYgx*p|ITMdFYn{09ykxFIBd0yj8t;J^_i1QKs(5d{jQgtfa)T*{G=#yj8l"
     "&5n2NomFS159r0w9LNyZm<0dD8hljv=$FMjPB7od9C4gvF7S9W^G@ce2$yD_VZMcV$3M8O%zKz`i_{b%u^6cZd>x4M5XldDh^@_UTVHm4+?VbB"

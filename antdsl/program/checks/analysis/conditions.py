@@ -1,5 +1,6 @@
-"""Conditions as lists of cases, so that two can be held against each other: can one ever hold, does it whenever another does?
-Only comparisons with constants, and the same text twice, are understood; all else may be or not be."""
+"""Conditions as lists of cases, to decide whether a condition can ever hold, and whether it holds whenever another one does.
+
+The analysis understands only comparisons with constants, and equal texts. Any other test may be true or false."""
 
 from __future__ import annotations
 
@@ -25,7 +26,7 @@ class Case:
     tests: dict[str, bool] = field(default_factory=dict)
 
     def intersect(self, other: Case) -> Case | None:
-        """Both, or None where they exclude each other."""
+        """Return the case in which both cases hold, or None if they exclude each other."""
         numbers, tests = dict(self.numbers), dict(self.tests)
         for key, interval in other.numbers.items():
             numbers[key] = numbers[key].intersect(interval) if key in numbers else interval
@@ -50,7 +51,7 @@ NOT_FOLLOWED = (TooManyCases, RecursionError)
 
 @dataclass(slots=True)
 class ConditionReader:
-    """Reads conditions of one species. `known` has the range in which a number lies anyway, by its key."""
+    """Reads conditions of one species. `known` has, by the key of a number, the range that always contains it."""
 
     params: Mapping[str, Param]
     known: dict[str, Interval] = field(default_factory=dict)
@@ -113,8 +114,8 @@ class ConditionReader:
         return [Case(numbers={key: interval}) for interval in intervals if not interval.is_empty]
 
     def key(self, part: object) -> str:
-        """Return a key that is equal for expressions of equal meaning; two draws or two memories never are. Long keys are hashed:
-        otherwise nested lets that use each other twice would double the key at each level."""
+        """Return a key that is equal for expressions of equal meaning. Two draws, or two memories, never have equal keys. Long
+        keys are hashed, because nested lets that use each other twice would double the key at each level."""
         if isinstance(part, BindingRef) and part.binding.role in ("let", "argument") and part.binding.value is not None:
             return self.key(part.binding.value)
         known = self.keys.get(id(part))
@@ -145,7 +146,7 @@ def _constant_value(expr: Expr) -> float | None:
 
 
 def _isolate(subject: Expr, edge: float, name: str) -> tuple[Expr, float, str]:
-    """`2 * x + 1 > 5` as `x > 2`."""
+    """Rewrite `2 * x + 1 > 5` as `x > 2`."""
     while isinstance(subject, Op) and subject.name in ("neg", "add", "sub", "mul", "div"):
         if subject.name == "neg":
             assert subject.args[0] is not None
@@ -180,7 +181,7 @@ def _limit_cases(cases: Cases) -> Cases:
 
 
 def is_never(reader: ConditionReader, test: Expr | None) -> bool:
-    """Whether a condition cannot hold."""
+    """Return whether a condition cannot hold."""
     try:
         return not reader.cases(test)
     except NOT_FOLLOWED:
@@ -188,7 +189,7 @@ def is_never(reader: ConditionReader, test: Expr | None) -> bool:
 
 
 def is_always(reader: ConditionReader, test: Expr | None) -> bool:
-    """Return whether a condition always holds. NaN is ignored, for which no comparison holds."""
+    """Return whether a condition always holds. NaN, for which no comparison holds, is ignored."""
     try:
         return not reader.cases(test, False)
     except NOT_FOLLOWED:
@@ -196,7 +197,7 @@ def is_always(reader: ConditionReader, test: Expr | None) -> bool:
 
 
 def implies(reader: ConditionReader, narrow: Expr | None, wide: Expr | None) -> bool:
-    """Whether `wide` holds whenever `narrow` does."""
+    """Return whether `wide` holds whenever `narrow` does."""
     try:
         return not _combine(reader.cases(narrow), reader.cases(wide, False))
     except NOT_FOLLOWED:

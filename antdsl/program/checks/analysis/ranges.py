@@ -65,7 +65,7 @@ def range_of(expr: Expr | None, params: Mapping[str, Param], known: dict[int, In
 
 
 def _sign(number: float) -> Interval:
-    """A constant that depends on the scene: only its sign is known."""
+    """Return the range of a constant that depends on the scene: only its sign is known."""
     return Interval(0, 0) if number == 0 else POSITIVE if number > 0 else Interval(-math.inf, 0)
 
 

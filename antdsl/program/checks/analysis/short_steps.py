@@ -21,8 +21,8 @@ Own = str | Binding  # the attribute that is set, or the stored memory
 
 
 class Influence(IntEnum):
-    """How a value that is read gets into another: not at all, less and less in shorter steps, unchanged, in ways unknown here,
-    changed. Unchanged means that doing it twice in a row is the same as once, so the frequency does not matter."""
+    """How a value that is read influences a result: not at all, less in shorter steps, unchanged, in an unknown way, or changed.
+    Unchanged means that two updates in a row equal one, so the frequency does not matter."""
 
     NONE = 0
     VANISHING = 1
@@ -76,7 +76,7 @@ def find_changers(value: Expr, own: Own, driven: bool = False) -> tuple[Expr, ..
 
 
 def is_rate(value: Expr, own: Own) -> bool:
-    """Whether a value that is added times `dt` is so much a second, by the same measure."""
+    """Return whether a value that is added times `dt` is an amount per second."""
     short = _analyse(value, own, False)
     return short.influence is Influence.UNSURE or _grows_with_time(short.power + 1, value) or _uses_step_unit(value)
 
@@ -97,7 +97,7 @@ def reads(expr: Expr, own: Own) -> bool:
 
 
 def _grows_with_time(power: float, value: Expr) -> bool:
-    """Return whether something grows with time. A new draw in each step does so by its square, and grows like the root."""
+    """Return whether a value grows with time. With a draw in each step, its deviation grows as the root of time."""
     if power == math.inf or math.isclose(power, 1):
         return True
     return math.isclose(power, 0.5) and any(isinstance(part, Op) and part.name in DRAWS for part in parts(value))
@@ -317,7 +317,7 @@ def _rotation(op: Op, below: Below) -> ShortStepValue:
 
 
 def _combination(op: Expr, below: Below) -> ShortStepValue:
-    """Made of several, as a vector of its numbers and a draw between two ends: it vanishes where all of them do."""
+    """Analyse a combination, such as a vector of its numbers or a draw between two ends: it vanishes if all its parts do."""
     influence = _strongest_influence(below)
     if influence >= Influence.SAME:
         return _UNSURE if influence is Influence.UNSURE else _changed_value(op, below)

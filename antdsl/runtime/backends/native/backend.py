@@ -94,8 +94,8 @@ class NativeBackend(NumpyBackend):
         return {f"instructions {name}": number for name, number in listing.instruction_counts(native_program).items()}
 
     def _request_code(self, world: World, waits: bool) -> None:
-        """Have code made once steps will pay for it, unless it is there: after the first step, which somebody waits for. Code
-        that an earlier run has stored is loaded before the step."""
+        """Start to build missing code if the remaining steps are worth it, after the first step, because a user waits for that.
+        Code that an earlier run has stored is loaded before the step."""
         if self.ready is not None or self._without is not None:
             return
         if self._timed and machine.is_available() and not machine.host().x86:

@@ -93,7 +93,7 @@ class BlockCode:
     layout: Layout
     schedule: Schedule
     lines: LineCounters | None = None  # of code that is timed by line
-    faults: list[tuple[str, Instruction]] = field(default_factory=list)  # of refused values: what is refused, and by what
+    faults: list[tuple[str, Instruction]] = field(default_factory=list)  # name and instruction of each
     near: list[NeighbourSearch] = field(default_factory=list)
     lazy_nodes: list[ir.Node] = field(default_factory=list)
     bounds: dict[int, ir.Node] = field(default_factory=dict)  # `scents.bounds`

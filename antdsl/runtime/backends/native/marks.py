@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 class LineCounters:
     """Counters of a block: one for each source line within each layer; the first is for instructions without a line. `numbers`:
-    the positions of instructions among those of `MeteredBlock`. `told`: for each counter, the number of the instruction on its
-    line, -1 for none."""
+    the positions of instructions among those of `MeteredBlock`. The last field has, for each counter, the number of the
+    instruction on its line, -1 for none."""
 
     def __init__(self, compiler: BlockCompiler) -> None:
         self.numbers = {each: k for k, each in enumerate(instructions_of(compiler.root))}

@@ -100,10 +100,9 @@ def find(plan: ir.Plan, blocks: Blocks, facts: WorldFacts) -> stored.Written | N
 
 
 def start_building(plan: ir.Plan, blocks: Blocks, facts: WorldFacts, known: stored.Written | None = None) -> Future[ReadyCode]:
-    """A plan's blocks as machine code for this processor, made in a thread; CodeUnavailable where it cannot be made. What was
-    asked for last is made first: it is what somebody looks at. It is made as long as whoever asked holds what this gives: of a
-    program that is saved again before its code has come, the world before is gone, and nothing more is made for it. `known`: what
-    `find` gives."""
+    """Build a plan's blocks as machine code for this processor in a thread, and return a future; its result may be the error
+    CodeUnavailable. The latest request is built first, because a user looks at it. Building stops once the caller drops the
+    future, for example because the program was saved again before its code was ready. `known`: the result of `find`."""
     coming: Future[ReadyCode] = Future()
     with _guard:
         _requests.append((ref(coming), _build_ready(plan, blocks, facts, known)))

@@ -98,7 +98,7 @@ def test_a_film_is_made_of_the_pictures_that_are_there(cache: Path, tmp_path: Pa
     drawn(cache, tmp_path, "--frames", "1..3", "--shot", "1..6")
     drawn(cache, tmp_path, "--frames", "4..6", "--shot", "1..6")
     assert drawn(cache, tmp_path / "drawn", "--film") == ["film.mp4"]
-    monkeypatch.setattr("antdsl.outputs.pictures.render.Renderer.draw", None)  # whoever draws now fails
+    monkeypatch.setattr("antdsl.outputs.pictures.render.Renderer.draw", None)  # drawing now fails
     assert drawn(cache, tmp_path, "--film", "--resume") == ["film.mp4"]
     assert films[0] == films[1] and len(set(films[0])) == 6
 

@@ -1,4 +1,4 @@
-"""What is worked out about a mesh is kept while it is the same mesh, and never for one that somebody may change."""
+"""Computed tables of a mesh are cached while it is the same mesh, and never for one that can change."""
 
 from __future__ import annotations
 

@@ -1,10 +1,10 @@
 """Steps of another tree and of this one, phase by phase, in turn in one run.
 
-`python tests/benchmarks/before.py ../other foraging --agents 15000` tells for a case of `antdsl bench` what a step takes there by
-its own default, here with NumPy, and here as machine code: milliseconds of CPU time by phase, and the ratio of each to the other
-tree with where it lies with 95 %. Blocks are decide, act and blend without the time that rays take. Each tree runs in a process
-of its own; all take a turn of some steps, `--pairs` times. Scenes are each tree's own; texts that make a case are this tree's,
-since the other one may be older."""
+`python tests/benchmarks/other_tree.py ../other foraging --agents 15000` tells for a case of `antdsl bench` what a step takes
+there by its own default, here with NumPy, and here as machine code: milliseconds of CPU time by phase, and the ratio of each to
+the other tree with where it lies with 95 %. Blocks are decide, act and blend without the time that rays take. Each tree runs in a
+separate process; all take a turn of some steps, `--pairs` times. Scenes are each tree's own; texts that make a case are this
+tree's, since the other one may be older."""
 
 from __future__ import annotations
 
@@ -81,12 +81,12 @@ def rays_timed() -> list[float]:
     with suppress(ImportError):  # an older tree has NumPy only
         from antdsl.runtime.backends.native import tables
 
-        tables.cached_clearance = timed(tables.cached_clearance)  # who may hit is asked before, not in the sense itself
+        tables.cached_clearance = timed(tables.cached_clearance)  # possible hits are computed before, not in the sense itself
     return spent
 
 
 def serve(case: str, agents: int | None, backend: str, steps: int) -> None:
-    """Make turns of steps as they are asked for, a line each; tells CPU seconds of a step by phase."""
+    """Make the requested turns of steps, a line each; report CPU seconds of a step by phase."""
     from antdsl.runtime import Options, bind, step
 
     options: dict[str, Any] = {"backend": backend} if backend else {}

@@ -115,7 +115,7 @@ def agents(out: str) -> list[str]:
 
 
 def test_what_is_saved_is_the_run_that_was_judged_and_goes_on(folder: Path, run) -> None:  # type: ignore[no-untyped-def]
-    """Each frame in the saved cache, and those that the printed command makes from it, have the hashes of a run of its own."""
+    """Each frame in the saved cache, and those that the printed command makes from it, have the hashes of a separate run."""
     assert run("test", "a.ant", "-k", "rests")[0] == 1
     out = folder / "out" / "failed" / "nobody-rests-long-5"
     cache = open_cache(out)
@@ -173,7 +173,7 @@ def test_a_fault_is_saved_before_it_happens(folder: Path, run) -> None:  # type:
 
 @pytest.mark.slow
 def test_a_failing_spec_of_the_foraging_example_shows_its_cause(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, run) -> None:  # type: ignore[no-untyped-def]
-    """Somebody has lost where the crumb comes from: the failure names the ant, its state and both values."""
+    """An ant has lost where the crumb comes from: the failure names the ant, its state and both values."""
     shutil.copytree(ROOT / "examples" / "foraging", tmp_path / "foraging")
     (tmp_path / "foraging" / "terrain.ply").write_bytes(coarse("foraging/terrain.ply", 5))
     monkeypatch.chdir(tmp_path / "foraging")
@@ -262,13 +262,13 @@ CHANGES = [
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "frame", "told"), CHANGES)
-def test_what_differs_first_is_named(folder: Path, golden, old: str, new: str, frame: int, told: list[str]) -> None:  # type: ignore[no-untyped-def]
+@pytest.mark.parametrize(("old", "new", "frame", "expected"), CHANGES)
+def test_what_differs_first_is_named(folder: Path, golden, old: str, new: str, frame: int, expected: list[str]) -> None:  # type: ignore[no-untyped-def]
     change(folder, old, new)
     code, text = golden("test", "a.ant", "-q")
     assert code == 1 and "1 golden run differs" in text and "--update" in text
     assert f"differs golden run of scene.yaml, seed 5: first at frame {frame}" in text, text
-    for words in told:
+    for words in expected:
         assert words in text, text
 
 
