@@ -119,7 +119,7 @@ def walk(
         for k in independent(low, high):
             if starts[k] >> FACE_BITS == number:
                 fetch_start(rings, starts[k] & FACE)
-        for k in range(low, high):
+        for k in independent(low, high):
             if starts[k] >> FACE_BITS == number:
                 a, w = of(origins, k), of(ways, k)
                 t, named = walked_hit(grid, rings, starts[k] & FACE, minus(a, zero), w)
