@@ -45,7 +45,7 @@ def checkpoint(world: World) -> Arrays:
     for name, flow in world.flows.items():
         arrays |= {f"flow.{name}.{key}": array for key, array in flow.state().items()}
     for name, feet in world.feet.items():
-        arrays |= {f"feet.{name}.{key}": array for key, array in feet.arrays().items()}
+        arrays |= {f"feet.{name}.{key}": array for key, array in feet.by_id().arrays().items()}
     names = sorted(world.transitions)
     arrays["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
     arrays["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)

@@ -109,11 +109,12 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
         return {}
     n, legs = len(feet), feet.legs
     place, down = np.empty((n, legs, 3), np.float32), np.empty((n, legs), np.uint8)
-    rise, tilt = np.empty(n, np.float32), np.empty((n, 4), np.float32)
+    (phase, rise), tilt, ranks = np.empty((2, n), np.float32), np.empty((n, 4), np.float32), feet.id_ranks()
+    phase[ranks] = feet.phase
     of = parallel.contiguous(feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope)  # leg by leg, as they mostly lie
-    work = partial(frame_loops.agent_feet, *of, scale, place.reshape(n, 3 * legs), down, rise, tilt)
+    work = partial(frame_loops.agent_feet, *of, ranks, scale, place.reshape(n, 3 * legs), down, rise, tilt)
     parallel.in_parts(work, n, world.options.threads)
-    values: dict[str, NDArray[Any]] = {"P": place, "down": down, "phase": feet.phase.copy(), "rise": rise, "tilt": tilt}
+    values: dict[str, NDArray[Any]] = {"P": place, "down": down, "phase": phase, "rise": rise, "tilt": tilt}
     return {f"feet.{species}.{name}": array for name, array in values.items()}
 
 

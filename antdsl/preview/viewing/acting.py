@@ -151,7 +151,7 @@ def _stance_arrays(world: World, name: str, worn: Outfit, light: LightFrame, mac
         return {}
     played = (*body.idle_clips(light.ids, world.frame * world.dt), *machines)
     stands = body.legs.stance_weights((*worn.plays, PlayedClip(worn.definition.idle)), played, len(light.ids))
-    return dict(stance_arrays(body.legs, world.feet[name], light, stands))
+    return dict(stance_arrays(body.legs, world.feet[name].by_id(), light, stands))
 
 
 def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:

@@ -86,11 +86,11 @@ class FootGround:
         self._walked: set[int] = set()  # numbers of meshes that agents stand on
 
     def starts(self, population: Population) -> Rows:
-        """The faces below agents by id, from which rays near their bodies walk: as `footholds.FACE_BITS` describes."""
-        order, columns = population.in_id_order(), population.footing.columns
+        """The faces below agents, from which rays near their bodies walk: as `footholds.FACE_BITS` describes."""
+        columns = population.footing.columns
         if "face" not in columns or not self._numbers.size:
-            return np.full(len(order), -1)
-        mesh, face = columns["mesh"][order], columns["face"][order]
+            return np.full(len(population), -1)
+        mesh, face = columns["mesh"], columns["face"]
         number = np.where(mesh >= 0, self._numbers[mesh], -1)
         self._walked.update((self._numbers[np.flatnonzero(np.bincount(mesh + 1)[1:])] >> FACE_BITS).tolist())
         return np.where(number >= 0, number | face, -1)

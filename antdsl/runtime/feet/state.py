@@ -1,4 +1,4 @@
-"""The feet of one species as arrays, rows by id."""
+"""The feet of one species as arrays, one row for each agent."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from antdsl.numerics.row_hash import RowHash, describe_columns
+from antdsl.numerics.sorting import stable_order
 
 Array = NDArray[Any]
 
@@ -36,7 +37,8 @@ def _copy_column(name: str, array: Array) -> Array:
 
 @dataclass(slots=True, eq=False)
 class Feet:
-    """The feet of n agents with L legs. Positions are mm in world coordinates, components first.
+    """The feet of n agents with L legs, in any order of the agents: a step puts them into the order of the population's rows, in
+    which neighbours in space are mostly neighbours in memory. Positions are mm in world coordinates, components first.
 
     `place` float64[3, n, L]: where each foot stands or is to land. `shown` float64[3, n, L]: its current position. `start`
     float64[3, n, L]: where its swing began. `swing` float32[n, L]: the completed share of its swing, -1 for a standing foot. `on`
@@ -66,6 +68,7 @@ class Feet:
     covered: NDArray[np.float32] | None = field(default=None)
     stood: NDArray[np.float64] | None = field(default=None)  # where bodies were before the ground went on, float64[3, n], NaN: no
     rows: RowHash = field(default_factory=RowHash)  # of arrays that mostly stay where they are in memory
+    _ranks: NDArray[np.int32] | None = field(default=None, init=False)
 
     @staticmethod
     def none(legs: int) -> Feet:
@@ -95,41 +98,62 @@ class Feet:
         """Return the stored arrays themselves, by name."""
         return {name: getattr(self, name) for name in STORED_COLUMNS}
 
+    def by_id(self) -> Feet:
+        """Return the same feet, rows by id."""
+        return self.match_ids(np.sort(self.ids))[0]
+
+    def id_ranks(self) -> NDArray[np.int32]:
+        """The place of each row in the order of ids."""
+        if self._ranks is None:
+            self._ranks = np.empty(len(self), np.int32)
+            self._ranks[stable_order(self.ids)] = np.arange(len(self), dtype=np.int32)
+        return self._ranks
+
+    def _find_ids(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Return the rows of ids, and which ids are there."""
+        if not len(self):
+            return np.zeros(len(ids), np.intp), np.zeros(len(ids), np.bool_)
+        order = stable_order(self.ids)
+        at = order.take(np.searchsorted(self.ids, ids, sorter=order), mode="clip")
+        return at, self.ids[at] == ids
+
     def copy_common(self, previous_feet: Feet) -> None:
         """Copy the feet of all agents that had feet before."""
-        at = np.minimum(np.searchsorted(previous_feet.ids, self.ids), max(len(previous_feet.ids) - 1, 0))
-        known = previous_feet.ids[at] == self.ids if len(previous_feet.ids) else np.zeros(len(self.ids), np.bool_)
+        at, known = previous_feet._find_ids(self.ids)
         for name, array in self.arrays().items():
             rows: tuple[Any, ...] = (slice(None),) * _AXIS.get(name, 0)
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
 
     def match_ids(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
-        """Return the feet of agents by ascending ids, zero for agents without earlier feet, and the rows of those agents."""
+        """Return the feet of agents in the order of these ids, zero for agents without earlier feet, and the rows of those
+        agents."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
-        at = np.minimum(np.searchsorted(self.ids, ids), max(len(self.ids) - 1, 0))
-        known = self.ids[at] == ids if len(self.ids) else np.zeros(len(ids), np.bool_)
-        columns: dict[str, Any] = {}
-        for name, array in self.arrays().items():
-            axis = _AXIS.get(name, 0)
-            shape = list(array.shape)
-            shape[axis] = len(ids)
-            columns[name] = _empty_column(name, array, shape)
-            rows: tuple[Any, ...] = (slice(None),) * axis
-            columns[name][(*rows, known)] = array[(*rows, at[known])]
-        matched_feet = Feet(**(columns | {"ids": ids.copy()}))
-        if self.covered is not None:
-            matched_feet.covered = by_leg((2, len(ids), self.legs), np.float32)
-            matched_feet.covered[:, known] = self.covered[:, at[known]]
-        if self.stood is not None:
-            matched_feet.stood = np.full((3, len(ids)), np.nan)
-            matched_feet.stood[:, known] = self.stood[:, at[known]]
-        return matched_feet, np.flatnonzero(~known)
+        at, known = self._find_ids(ids)
+        new = np.flatnonzero(~known)
+        columns = {name: _pick_rows(name, getattr(self, name), at, new) for name in (*STORED_COLUMNS, "covered", "stood")}
+        return Feet(**columns | {"ids": ids.copy()}), new
 
 
-STORED_COLUMNS = tuple(each.name for each in fields(Feet) if each.name not in ("covered", "stood", "rows"))
-_AXIS = {name: 1 for name in ("place", "shown", "start", "weight", "slope", "position", "heading", "up")}
-_BY_LEG = frozenset(("place", "shown", "start", "swing", "on", "face", "weight", "found"))
+def _pick_rows(name: str, array: Array | None, at: NDArray[np.intp], new: NDArray[np.intp]) -> Array | None:
+    """Return rows of a column, with zeros in the `new` ones; NaN for places where bodies stood."""
+    if array is None:
+        return None
+    axis = _AXIS.get(name, 0)
+    if not array.shape[axis]:
+        picked = _empty_column(name, array, (*array.shape[:axis], len(at), *array.shape[axis + 1 :]))
+    elif name in _BY_LEG:
+        picked = array.swapaxes(-1, -2).take(at, axis=-1).swapaxes(-1, -2)
+    else:
+        picked = array.take(at, axis=axis)
+    if new.size:
+        picked[(*(slice(None),) * axis, new)] = np.nan if name == "stood" else 0
+    return picked
+
+
+STORED_COLUMNS = tuple(each.name for each in fields(Feet) if each.name not in ("covered", "stood", "rows", "_ranks"))
+_AXIS = {name: 1 for name in ("place", "shown", "start", "weight", "slope", "position", "heading", "up", "covered", "stood")}
+_BY_LEG = frozenset(("place", "shown", "start", "swing", "on", "face", "weight", "found", "covered"))
 
 
 def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:

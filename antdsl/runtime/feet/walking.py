@@ -47,7 +47,7 @@ def measure(world: World) -> None:
     """Record the ground that the resting place of each foot covered in this step, before the ground itself moves on."""
     for name, feet in world.feet.items():
         population, walkers = world.populations[name], world.walkers[name]
-        feet, new = feet.match_ids(population.sorted_ids()[0])
+        feet, new = feet.match_ids(population.ids)
         world.feet[name] = feet
         n = len(feet)
         bodies = place_bodies(population, "bodies before the ground moves", world.options.threads)
@@ -78,7 +78,7 @@ class _Step:
         assert world.floor is not None
         self.world, self.floor, self.walkers, self.gaits = world, world.floor, walkers, walkers.gaits
         self.population = population
-        self.feet, self.new = world.feet[population.name].match_ids(population.sorted_ids()[0])
+        self.feet, self.new = world.feet[population.name].match_ids(population.ids)
         world.feet[population.name] = self.feet
         self.threads, self.dt = world.options.threads, _F(world.dt)
         self.bodies = place_bodies(population, "bodies", self.threads)
