@@ -37,13 +37,7 @@ def place_bodies(population: Population, buffer_name: str, threads: int) -> NDAr
 
 @kernel
 def _place_bodies(
-    position: Array2[F64],
-    heading: VectorColumns,
-    up: VectorColumns,
-    size: Array1[F32],
-    bodies: Array2[F64],
-    begin: I64,
-    end: I64,
+    position: Array2[F64], heading: VectorColumns, up: VectorColumns, size: Array1[F32], bodies: Array2[F64], begin: I64, end: I64
 ) -> None:
     """Write the bodies from `begin` to before `end`."""
     for i in independent(begin, end):

@@ -31,6 +31,7 @@ Arrays = tuple[NDArray[Any], ...]
 
 _SHY = 1e-6  # of a distance: by how much a ray is shortened in the test for obstructions
 _RAYS = 256  # for which a thread pays
+_NO_RINGS = np.empty(0), np.empty(0, np.int32), np.empty(0, np.float32)  # of a mesh that no agent stands on
 
 
 @dataclass(slots=True, eq=False)
@@ -100,7 +101,6 @@ class FootGround:
         most are expected to end on what bodies walk on, so that Open3D need not test first which do. Neither changes an
         answer."""
         hits, threads = GroundHits.none(origin.shape[1]), world.options.threads
-        walked = np.full(len(hits.part), -1, np.int16)
         if isinstance(world.ground, Plane):
             _cast_on_plane(world, origin, displacement, hits)
         for k, name in enumerate(self.names):
@@ -114,10 +114,9 @@ class FootGround:
             else:
                 far = np.empty(len(hits.part), np.int64)
                 rings = obstacle.rings(threads) if k in self._walked else None
-                if rings is not None:
-                    work = partial(footholds.walk, tables, rings, k, origin, displacement, starts, hits.columns, walked)
-                    parallel.in_parts(work, len(far), threads, _RAYS)
-                work = partial(footholds.cast, tables, box, k, origin, displacement, walked, hits.columns, far)
+                work = partial(
+                    footholds.cast, tables, rings or _NO_RINGS, box, k, origin, displacement, starts, hits.columns, far
+                )
                 near = parallel.join_parts(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
             if not near.size:
                 continue
@@ -202,10 +201,9 @@ class FootGround:
 
 @dataclass(slots=True, eq=False)
 class FootholdRequests:
-    """Feet that need ground: `requests` int64[k], the number of the agent times L plus that of the leg; `columns`: hip, wanted
-    place and up of the body, (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground;
-    `displacement` (3, k): from the hip past the wanted place; `starts` as `Floor.starts`. `is_quick`: the foot lifts, and looks
-    again when it lands."""
+    """Feet that need ground: `requests` int64[k], see `stepping.LEG_BITS`; `columns`: hip, wanted place and up of the body,
+    (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground; `displacement` (3, k): from the
+    hip past the wanted place; `starts` as `FootGround.starts`. `is_quick`: the foot lifts, and looks again when it lands."""
 
     requests: Rows
     columns: Arrays
