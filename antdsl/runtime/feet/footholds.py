@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from antdsl.casting.grid_rays import Grid, first_hit, prefetch_rays
+from antdsl.casting.nearest_faces import nearest_face
 from antdsl.casting.ray_walks import Rings, fetch_start, walked_hit
-from antdsl.casting.tolerances import FURTHER, UNSURE
+from antdsl.casting.tolerances import FURTHER, RINGS, UNSURE
 from antdsl.machine_code.kernels import (
     BOOL,
     F32,
@@ -27,7 +28,7 @@ from antdsl.machine_code.kernels import (
     kernel,
     scratch,
 )
-from antdsl.numerics.kernel_vectors import dot, minus, of, put_vector
+from antdsl.numerics.kernel_vectors import dot, minus, of, plus, put_vector
 from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.feet.bodies import body_at, fetch_columns
 from antdsl.runtime.feet.gaits import HIP, REACHED, SINK
@@ -156,13 +157,51 @@ def cast(
     return begin, count
 
 
+@kernel
+def find_nearest(
+    grid: Grid,
+    box: tuple[Array1[F64], Array1[F64]],
+    number: I64,
+    points: Array2[F64],
+    reach: Array1[F64],
+    hits: Hits,
+    far: Array1[I64],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """Put the positions on a mesh, the floor's `number`, that are nearest to points from `begin` to before `end` and within
+    their `reach`, which shrinks to the distance. Into `far`, from `begin` on: points with a reach that is too long for the grid.
+    Returns where they begin, and how many there are."""
+    shape, (low, high), count = grid[0], box, 0
+    zero = shape[6], shape[7], shape[8]
+    for k in range(begin, end):
+        point, most, inside = of(points, k), reach[k], True
+        for axis in range(3):
+            inside = inside and point[axis] - most <= high[axis] and point[axis] + most >= low[axis]
+        if inside and most > RINGS * shape[3]:
+            far[begin + count] = k
+            count += 1
+        elif inside:
+            square, face, place = nearest_face(grid, minus(point, zero), most)
+            if face >= 0 and np.sqrt(square) < most:
+                reach[k] = np.sqrt(square)
+                _put_place(hits, k, number, reach[k], plus(place, zero))
+    return begin, count
+
+
 @inlined
 def _put_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) -> None:
     """Put what ray `k` hits of a mesh after part `t` of its way `w` from `a`, where that is nearer."""
+    if t < hits[0][k]:
+        _put_place(hits, k, number, t, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
+
+
+@inlined
+def _put_place(hits: Any, k: Any, number: Any, t: Any, at: Any) -> None:
+    """Put a hit on a still mesh."""
     part, place, on, face, weight = hits
-    if t < part[k]:
-        part[k], on[k], face[k], weight[0, k], weight[1, k] = t, number, 0, 0.0, 0.0
-        put_vector(place, k, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
+    part[k], on[k], face[k], weight[0, k], weight[1, k] = t, number, 0, 0.0, 0.0
+    put_vector(place, k, at)
 
 
 @kernel

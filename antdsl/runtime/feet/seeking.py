@@ -108,7 +108,7 @@ class FootGround:
             box = self._bounding_box(world, k, obstacle)
             if box is None:
                 continue
-            tables = obstacle.tables() if isinstance(obstacle, RayScene) and k not in self.moving else None
+            tables = self._grid_tables(k, obstacle)
             if not isinstance(obstacle, RayScene) or tables is None:
                 near = _rays_meeting_box(box, origin, displacement)
             else:
@@ -131,19 +131,25 @@ class FootGround:
 
     def nearest(self, world: World, points: Vectors, reach: NDArray[np.float64]) -> GroundHits:
         """Return the nearest positions to points, within `reach` (mm, [k])."""
-        hits = GroundHits.none(points.shape[1])
+        hits, threads = GroundHits.none(points.shape[1]), world.options.threads
         least = reach.copy()
         for k, name in enumerate(self.names):
             obstacle = world.obstacles.get(name)
             box = self._bounding_box(world, k, obstacle)
             if box is None:
                 continue
-            near = np.flatnonzero(((points - reach <= box[1][:, None]) & (points + reach >= box[0][:, None])).all(axis=0))
-            near = _points_near_mesh(obstacle, near, points, reach) if isinstance(obstacle, RayScene) else near
+            tables = self._grid_tables(k, obstacle)
+            if tables is not None:
+                far = np.empty(len(least), np.int64)
+                work = partial(footholds.find_nearest, tables, box, k, points, least, hits.columns, far)
+                near = parallel.join_parts(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
+            else:
+                near = np.flatnonzero(((points - reach <= box[1][:, None]) & (points + reach >= box[0][:, None])).all(axis=0))
+                near = _points_near_mesh(obstacle, near, points, reach) if isinstance(obstacle, RayScene) else near
             if not near.size:
                 continue
             if isinstance(obstacle, RayScene):
-                _, face, place, distance = obstacle.closest(points[:, near].T, world.options.threads, least[near])
+                _, face, place, distance = obstacle.closest(points[:, near].T, threads, least[near])
             else:
                 assert isinstance(obstacle, SolidFeelers)
                 slope = obstacle.volume.gradient(points[:, near].T).astype(np.float64)
@@ -164,6 +170,10 @@ class FootGround:
                 vertices = vertices_at(world, self.names[k], world.display_frame)
                 a, b, c = (vertices[self.meshes[self.names[k]].faces[face[rows], corner]].T for corner in range(3))
                 place[:, rows] = a + weight[0][rows] * (b - a) + weight[1][rows] * (c - a)
+
+    def _grid_tables(self, k: int, obstacle: object) -> Arrays | None:
+        """Return the tables of a still mesh with a grid of triangles; None for all else."""
+        return obstacle.tables() if isinstance(obstacle, RayScene) and k not in self.moving else None
 
     def _bounding_box(self, world: World, k: int, obstacle: object) -> tuple[Vectors, Vectors] | None:
         if isinstance(obstacle, SolidFeelers):
@@ -258,7 +268,8 @@ def _look_around(
     if lost.size:
         rows, hips = rows[lost], np.ascontiguousarray(hips[:, lost])
         close = floor.nearest(world, np.ascontiguousarray(seeking.columns[1][:, rows]), reach)
-        sight_hits = floor.cast(world, hips, (close.place - hips) * (1.0 - _SHY), starts[lost])
+        sight = np.where(np.isfinite(close.part), (close.place - hips) * (1.0 - _SHY), 0.0)
+        sight_hits = floor.cast(world, hips, sight, starts[lost])
         footholds.accept(seeking.columns, rows, close.columns, sight_hits.columns, hits.columns, 0, len(rows))
 
 
