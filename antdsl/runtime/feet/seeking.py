@@ -211,9 +211,9 @@ class FootGround:
 
 @dataclass(slots=True, eq=False)
 class FootholdRequests:
-    """Feet that need ground: `requests` int64[k], see `stepping.LEG_BITS`; `columns`: hip, wanted place and up of the body,
-    (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground; `displacement` (3, k): from the
-    hip past the wanted place; `starts` as `FootGround.starts`. `is_quick`: the foot lifts, and looks again when it lands."""
+    """Feet that need ground: `requests` int64[k], see `stepping.LEG_BITS`; `columns`: hip, target position and up of the
+    body, (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground. `displacement` (3, k):
+    from the hip past the target. `starts` as `FootGround.starts`. `is_quick`: the foot lifts, and looks again when it lands."""
 
     requests: Rows
     columns: Arrays

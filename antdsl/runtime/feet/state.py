@@ -131,12 +131,13 @@ class Feet:
             return self, np.zeros(0, np.intp)
         at, known = self._find_ids(ids)
         new = np.flatnonzero(~known)
-        columns = {name: _pick_rows(name, getattr(self, name), at, new) for name in (*STORED_COLUMNS, "covered", "stood")}
+        names = (*STORED_COLUMNS, "covered", "stood")
+        columns: dict[str, Any] = {name: _pick_rows(name, getattr(self, name), at, new) for name in names}
         return Feet(**columns | {"ids": ids.copy()}), new
 
 
 def _pick_rows(name: str, array: Array | None, at: NDArray[np.intp], new: NDArray[np.intp]) -> Array | None:
-    """Return rows of a column, with zeros in the `new` ones; NaN for places where bodies stood."""
+    """Return rows of a column, with zeros in the `new` ones; earlier positions of these bodies are NaN."""
     if array is None:
         return None
     axis = _AXIS.get(name, 0)
@@ -146,8 +147,9 @@ def _pick_rows(name: str, array: Array | None, at: NDArray[np.intp], new: NDArra
         picked = array.swapaxes(-1, -2).take(at, axis=-1).swapaxes(-1, -2)
     else:
         picked = array.take(at, axis=axis)
+    rows: tuple[Any, ...] = (slice(None),) * axis
     if new.size:
-        picked[(*(slice(None),) * axis, new)] = np.nan if name == "stood" else 0
+        picked[(*rows, new)] = np.nan if name == "stood" else 0
     return picked
 
 
