@@ -35,9 +35,9 @@ def signed_distance(grid: Grid, place: Vec3F32, within: F64) -> tuple[F32, Vec3F
     shape, normals = grid[0], grid[7]
     p = np.float64(place[0]), np.float64(place[1]), np.float64(place[2])
     a = p[0] - shape[6], p[1] - shape[7], p[2] - shape[8]
-    square, face, q = _nearest(grid, a, within)
+    square, face, q = nearest_face(grid, a, within)
     if face == UNSURE:
-        square, face, q = _nearest(grid, a, np.inf)
+        square, face, q = nearest_face(grid, a, np.inf)
     gap, x, y, z = np.float32(np.nan), np.float32(0), np.float32(0), np.float32(0)
     if face >= 0:
         distance = np.sqrt(square)
@@ -60,7 +60,7 @@ def nearest_points(grid: Grid, points: Strided2[F64], place: Array2[F64], square
     """As `TriangleGrid.nearest`, into the last three arrays."""
     for i in range(face.size):
         p = (points[i, 0], points[i, 1], points[i, 2])
-        square[i], face[i], q = _nearest(grid, p, np.inf)
+        square[i], face[i], q = nearest_face(grid, p, np.inf)
         place[i, 0], place[i, 1], place[i, 2] = q[0], q[1], q[2]
 
 
@@ -100,7 +100,7 @@ def _layer_index(at: F64, low: F64, part: F64, size: I64) -> I64:
 
 
 @called
-def _nearest(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
+def nearest_face(grid: Grid, p: Vec3, within: F64) -> tuple[F64, I64, Vec3]:
     """Return the squared distance to a point's nearest face, that face, and the nearest position on it. If that is farther than
     `within` (mm), the face may be BEYOND (the point is in front of it) or UNSURE.
 

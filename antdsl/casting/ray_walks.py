@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.casting.faces import evaluate_direction, evaluate_point, nearest_on
+from antdsl.casting.faces import nearest_on
 from antdsl.casting.grid_rays import Grid
 from antdsl.casting.tolerances import NOTHING, UNSURE
-from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, nearest_integer
+from antdsl.machine_code.kernels import called, fetch_ahead, inlined, kernel, load_consecutive, nearest_integer
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I32, I64, Array1, Array2, Array3
 from antdsl.numerics import parallel, stored_tables
 from antdsl.numerics.kernel_vectors import Vec3, cross, dot, minus, plus
@@ -27,11 +27,12 @@ from antdsl.numerics.kernel_vectors import Vec3, cross, dot, minus, plus
 if TYPE_CHECKING:
     from antdsl.casting.faces import Faces
 
-Rings = tuple[Array3[F64], Array2[I32], Array2[F32]]  # as `find_rings`
+Rings = tuple[Array1[F64], Array1[I32], Array1[F32]]  # as `find_rings`
+Plane = tuple[F64, F64, F64, F64]
 Arrays = tuple[NDArray[Any], ...]
 Corners = tuple[Array1[I64], Array1[I64], Array1[I64], Array1[BOOL]]
 
-LINK, BALL = 24, 28  # columns of rows, of four bytes each
+ROW, LINK, BALL = 32, 24, 28  # numbers of four bytes in a row, and before its parts
 _SEARCH, _WALK = 4, 3  # faces that are searched for the beginning, and that a walk passes: all are in the ring of the first
 _SURE = 1e-4  # weight by which a ray must be inside of a face
 _FLAT = 0.2  # least cosine of the angle between a face and one of its ring
@@ -41,16 +42,16 @@ _FACES = 512  # for which a thread pays
 
 
 def find_rings(faces: Faces, grid: Grid, lasting: bool, threads: int = 1) -> Arrays:
-    """A row of two cache lines for each face, as three views: its planes, float64[m,4,4]; at LINK the face across each side,
-    opposite of each corner, -1 for none, int32[m,32]; and at BALL middle and square of the radius, which is 0 where the ring is
-    open or not flat, float32[m,32]. `lasting`: whether another run may request the same."""
+    """A row of two cache lines for each face, as three views: its three planes, float64[16 m]; at LINK the face across each side,
+    opposite of each corner, -1 for none, int32[32 m]; and at BALL middle and square of the radius, which is 0 where the ring is
+    open or not flat, float32[32 m]. `lasting`: whether another run may request the same."""
     count = len(faces.corners) if lasting else 0
     tables = stored_tables.get_or_compute("rings", count, (faces.corners, *grid[0][:5]), partial(_rings, faces, grid, threads))
     space = np.zeros(16 * len(faces.corners) + 8)
     rows = space[-space.ctypes.data % 64 // 8 :][: 16 * len(faces.corners)].reshape(-1, 4, 4)
     links, balls = (rows.reshape(-1, 16).view(kind) for kind in (np.int32, np.float32))
     rows[:, :3], links[:, LINK : LINK + 3], balls[:, BALL:] = grid[5], tables["links"], tables["balls"]
-    return rows, links, balls
+    return rows.ravel(), links.ravel(), balls.ravel()
 
 
 def _rings(faces: Faces, grid: Grid, threads: int) -> stored_tables.Tables:
@@ -175,17 +176,19 @@ def fetch_start(rings: Rings, face: I64) -> None:
 @inlined
 def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[F64, I64]:
     """As `first_hit`, by a walk from the face below the origin, which is near `start`; UNSURE where a walk cannot answer."""
-    planes, links, balls = rings
-    f = _below(planes, links, start, a)
+    links, balls = rings[1], rings[2]
+    f = _below(rings, start, a)
     if f < 0 or not _is_near(balls, f, a):
         return np.inf, UNSURE
-    up = planes[f, 0, 0], planes[f, 0, 1], planes[f, 0, 2]
+    plane, _, _ = _planes(rings, f)
+    up = plane[0], plane[1], plane[2]
     h = grid[0][5] / np.sqrt(dot(w, w))
     g, count = f, 0
     while g >= 0 and count < _WALK:
-        at, to = evaluate_point(planes, g, 0, a[0], a[1], a[2]), evaluate_direction(planes, g, 0, w[0], w[1], w[2])
-        a1, d1 = evaluate_point(planes, g, 1, a[0], a[1], a[2]), evaluate_direction(planes, g, 1, w[0], w[1], w[2])
-        a2, d2 = evaluate_point(planes, g, 2, a[0], a[1], a[2]), evaluate_direction(planes, g, 2, w[0], w[1], w[2])
+        plane, plane1, plane2 = _planes(rings, g)
+        at, to = _rise(plane, a), _slope(plane, w)
+        a1, d1 = _rise(plane1, a), _slope(plane1, w)
+        a2, d2 = _rise(plane2, a), _slope(plane2, w)
         t = -at / to
         if t > h and t <= 1.0:
             w1, w2 = a1 + t * d1, a2 + t * d2
@@ -195,11 +198,8 @@ def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[
             if least > -_SURE:
                 break
         # Weights of what is below the ray or above it, seen along the normal of the first face, at its origin and by its length.
-        rise = evaluate_direction(planes, g, 0, up[0], up[1], up[2])
-        r1, r2 = (
-            evaluate_direction(planes, g, 1, up[0], up[1], up[2]) / rise,
-            evaluate_direction(planes, g, 2, up[0], up[1], up[2]) / rise,
-        )
+        rise = _slope(plane, up)
+        r1, r2 = _slope(plane1, up) / rise, _slope(plane2, up) / rise
         a1, d1, a2, d2 = a1 - r1 * at, d1 - r1 * to, a2 - r2 * at, d2 - r2 * to
         a0, d0 = (1.0 - a1) - a2, -d1 - d2
         out0, out1 = -a0 / d0 if d0 < 0 else 1.0, -a1 / d1 if d1 < 0 else 1.0
@@ -211,27 +211,44 @@ def walked_hit(grid: Grid, rings: Rings, start: I64, a: Vec3, w: Vec3) -> tuple[
             break
         if max(max(min(w0, w1), min(w1, w2)), min(w2, w0)) < _SURE:
             break
-        g = np.int64(links[g, LINK + _least_of(w0, w1, w2)])
+        g = links[ROW * g + LINK + _least_of(w0, w1, w2)]
         count += 1
     return np.inf, UNSURE
 
 
 @inlined
-def _below(planes: Array3[F64], links: Array2[I32], start: I64, place: Vec3) -> I64:
+def _below(rings: Rings, start: I64, place: Vec3) -> I64:
     """The face that a place is above or below and not near a side of, searched over neighbours; -1 for none."""
     f, count = start, 0
     while f >= 0 and count < _SEARCH:
-        w1, w2 = (
-            evaluate_point(planes, f, 1, place[0], place[1], place[2]),
-            evaluate_point(planes, f, 2, place[0], place[1], place[2]),
-        )
+        _, plane1, plane2 = _planes(rings, f)
+        w1, w2 = _rise(plane1, place), _rise(plane2, place)
         w0 = (1.0 - w1) - w2
         least = min(min(w0, w1), w2)
         if least >= _SURE:
             return f
-        f = np.int64(links[f, LINK + _least_of(w0, w1, w2)]) if least < 0 else -1
+        f = np.int64(rings[1][ROW * f + LINK + _least_of(w0, w1, w2)]) if least < 0 else -1
         count += 1
     return -1
+
+
+@inlined
+def _planes(rings: Rings, f: I64) -> tuple[Plane, Plane, Plane]:
+    """The planes of a face: of itself, and two that give the weights of its second and third corner."""
+    x0, y0, z0, c0, x1, y1, z1, c1, x2, y2, z2, c2 = load_consecutive(rings[0], 16 * f, 12)
+    return (x0, y0, z0, c0), (x1, y1, z1, c1), (x2, y2, z2, c2)
+
+
+@inlined
+def _rise(plane: Plane, place: Vec3) -> F64:
+    """The value of a plane at a place, as `faces.evaluate_point`."""
+    return ((plane[0] * place[0] + plane[1] * place[1]) + plane[2] * place[2]) + plane[3]
+
+
+@inlined
+def _slope(plane: Plane, way: Vec3) -> F64:
+    """By how much the value of a plane grows along a way, as `faces.evaluate_direction`."""
+    return (plane[0] * way[0] + plane[1] * way[1]) + plane[2] * way[2]
 
 
 @inlined
@@ -240,8 +257,8 @@ def _least_of(a: F64, b: F64, c: F64) -> I64:
 
 
 @inlined
-def _is_near(balls: Array2[F32], f: I64, place: Vec3) -> BOOL:
+def _is_near(balls: Array1[F32], f: I64, place: Vec3) -> BOOL:
     """Whether a place is in the ball of a face."""
-    middle = np.float64(balls[f, BALL]), np.float64(balls[f, BALL + 1]), np.float64(balls[f, BALL + 2])
-    gap = minus(place, middle)
-    return dot(gap, gap) < np.float64(balls[f, BALL + 3])
+    x, y, z, square = load_consecutive(balls, ROW * f + BALL, 4)
+    gap = minus(place, (np.float64(x), np.float64(y), np.float64(z)))
+    return dot(gap, gap) < np.float64(square)

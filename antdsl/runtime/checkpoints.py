@@ -43,7 +43,7 @@ def checkpoint(world: World) -> Arrays:
         arrays |= {f"field.{name}.{key}": array for key, array in field.added.items()}
         arrays[f"field.{name}"] = field.values
     arrays |= {f"flow.{name}.{key}": array for name, flow in world.flows.items() for key, array in flow.state().items()}
-    arrays |= {f"feet.{name}.{key}": array for name, feet in world.feet.items() for key, array in feet.arrays().items()}
+    arrays |= {f"feet.{name}.{key}": array for name, feet in world.feet.items() for key, array in feet.by_id().arrays().items()}
     names = sorted(world.transitions)
     arrays["transitions.names"] = np.frombuffer("\n".join(names).encode(), np.uint8)
     arrays["transitions.counts"] = np.array([world.transitions[name] for name in names], np.int64)

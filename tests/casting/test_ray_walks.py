@@ -10,10 +10,10 @@ import pytest
 
 from antdsl.casting.faces import Faces, nearest_on_triangle
 from antdsl.casting.grid_rays import Grid
-from antdsl.casting.ray_walks import BALL, LINK, Rings, walked_hit
+from antdsl.casting.ray_walks import BALL, LINK, ROW, Rings, walked_hit
 from antdsl.casting.rays import RayScene
 from antdsl.casting.tolerances import NOTHING, UNSURE
-from antdsl.machine_code.kernels import F64, I64, Array1, Strided2, kernel
+from antdsl.machine_code.kernels import F64, I64, Array1, Strided2, independent, kernel
 from antdsl.numerics.vector_rows import dot
 from tests.meshes import Mesh, ball, box, grid, terrain
 
@@ -84,7 +84,7 @@ def walk_all(
     face: Array1[I64],
 ) -> None:
     """Walk along all rays."""
-    for i in range(starts.size):
+    for i in independent(0, starts.size):
         a, w = (origin[i, 0], origin[i, 1], origin[i, 2]), (direction[i, 0], direction[i, 1], direction[i, 2])
         t[i], face[i] = walked_hit(grid, rings, starts[i], a, w)
 
@@ -151,7 +151,7 @@ def test_balls_hold_no_face_but_the_ring() -> None:
     scene = RayScene(*rough(0.3, 10))
     corners, rings = scene._faces.corners, scene.rings()
     assert rings is not None
-    links, balls = rings[1][:, LINK : LINK + 3], rings[2][:, BALL:]
+    links, balls = rings[1].reshape(-1, ROW)[:, LINK : LINK + 3], rings[2].reshape(-1, ROW)[:, BALL:]
     points = (np.round(corners * 1e6).astype(np.int64) @ np.array([1, 10**9, 10**5])).reshape(-1, 3)
     for f in range(len(links)):
         near = np.isin(points, points[f]).any(axis=1)

@@ -183,13 +183,14 @@ def test_colours_of_states() -> None:
 @pytest.mark.parametrize(("count", "threads"), [(0, 1), (3, 1), (700, 1), (5_000, 2)])
 def test_feet_of_a_frame(count: int, threads: int) -> None:
     rng, scale = np.random.default_rng(count), 0.1
-    feet = Feet.none(6).match_ids(np.arange(count))[0]
+    feet = Feet.none(6).match_ids(rng.permutation(count))[0]
     for array in (feet.shown, feet.slope, feet.rise, feet.phase):
         array[:] = rng.choice(EXTREMES, array.shape)
         array[..., count // 2 :] = rng.normal(size=array[..., count // 2 :].shape) * 1000
     feet.swing[:] = rng.choice(np.array([-1.0, 0.0, 0.5], np.float32), feet.swing.shape)
     world = SimpleNamespace(feet={"ant": feet}, options=SimpleNamespace(threads=threads))
     arrays = placed_feet(world, "ant", scale)  # type: ignore[arg-type]
+    feet = feet.by_id()
     with np.errstate(all="ignore"):
         expected = {
             "P": ((feet.shown.transpose(1, 2, 0) + 0.0) * scale).astype(np.float32),

@@ -230,7 +230,7 @@ def test_the_newborn_stand_and_the_dead_have_no_feet(tmp_path: Path) -> None:
         known = set(feet_of(world).ids.tolist())
         step(world)
         feet, population = feet_of(world), world.populations["walker"]
-        assert np.array_equal(feet.ids, np.sort(population.ids))
+        assert np.array_equal(feet.ids, population.ids) and np.array_equal(feet.by_id().ids, np.sort(population.ids))
         new = ~np.isin(feet.ids, list(known))
         changed += int(new.sum()) + len(known - set(feet.ids.tolist()))
         assert off_ground(world, feet).max() < 1e-3

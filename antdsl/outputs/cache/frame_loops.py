@@ -165,6 +165,7 @@ def agent_feet(
     swing: Array2[F32],
     rise: Array1[F32],
     slope: Array2[F32],
+    ranks: Array1[I32],
     scale: F64,
     positions_out: Array2[F32],
     down: Array2[U8],
@@ -173,7 +174,7 @@ def agent_feet(
     begin: I64,
     end: I64,
 ) -> None:
-    """Write the feet of agents from `begin` to before `end`, from arrays (.., legs, n) and (.., n).
+    """Write the feet of agents from `begin` to before `end`, each at its rank, from arrays (.., legs, n) and (.., n).
 
     Results: positions x, y, z of each leg in scene units; which feet are on the ground (`swing` is -1); rises in scene units;
     tilts as unit quaternions x, y, z, w."""
@@ -181,18 +182,20 @@ def agent_feet(
         high = min(low + _BLOCK, end)
         for leg in range(swing.shape[0]):
             for i in range(low, high):
-                positions_out[i, 3 * leg] = np.float32((foot_positions[0, leg, i] + 0.0) * scale)
-                positions_out[i, 3 * leg + 1] = np.float32((foot_positions[1, leg, i] + 0.0) * scale)
-                positions_out[i, 3 * leg + 2] = np.float32((foot_positions[2, leg, i] + 0.0) * scale)
-                down[i, leg] = 1 if swing[leg, i] == np.float32(-1.0) else 0
+                k = ranks[i]
+                positions_out[k, 3 * leg] = np.float32((foot_positions[0, leg, i] + 0.0) * scale)
+                positions_out[k, 3 * leg + 1] = np.float32((foot_positions[1, leg, i] + 0.0) * scale)
+                positions_out[k, 3 * leg + 2] = np.float32((foot_positions[2, leg, i] + 0.0) * scale)
+                down[k, leg] = 1 if swing[leg, i] == np.float32(-1.0) else 0
         for i in independent(low, high):
-            rise_out[i] = rise[i] * np.float32(scale)
+            rank = ranks[i]
+            rise_out[rank] = rise[i] * np.float32(scale)
             a, b = -np.float64(slope[0, i]), -np.float64(slope[1, i])
             size = 1.0 / np.sqrt((a * a + 1.0) + b * b)
             x, z, w = b * size, -a * size, 1.0 + size
             length = np.sqrt((x * x + z * z) + w * w)
-            tilt[i, 0], tilt[i, 1] = np.float32(x / length), np.float32(0.0 / length)
-            tilt[i, 2], tilt[i, 3] = np.float32(z / length), np.float32(w / length)
+            tilt[rank, 0], tilt[rank, 1] = np.float32(x / length), np.float32(0.0 / length)
+            tilt[rank, 2], tilt[rank, 3] = np.float32(z / length), np.float32(w / length)
 
 
 @kernel

@@ -93,11 +93,11 @@ def placed_feet(world: World, species: str, scale: float) -> dict[str, NDArray[A
     if feet is None:
         return {}
     n, legs = len(feet), feet.legs
-    values = {each.field: np.empty((n, *each.dimensions(legs=legs)), each.type) for each in STANCE}
+    values, ranks = {each.field: np.empty((n, *each.dimensions(legs=legs)), each.type) for each in STANCE}, feet.id_ranks()
     of = parallel.contiguous(feet.shown.swapaxes(1, 2), feet.swing.T, feet.rise, feet.slope)  # leg by leg, as they mostly lie
     outputs = values["P"].reshape(n, 3 * legs), values["down"], values["rise"], values["tilt"]
-    parallel.in_parts(partial(frame_loops.agent_feet, *of, scale, *outputs), n, world.options.threads)
-    values["phase"] = feet.phase.copy()
+    parallel.in_parts(partial(frame_loops.agent_feet, *of, ranks, scale, *outputs), n, world.options.threads)
+    values["phase"][ranks] = feet.phase
     return {f"feet.{species}.{name}": array for name, array in values.items()}
 
 

@@ -144,7 +144,7 @@ def _stance_arrays(world: World, name: str, worn: Outfit, light: Arrays, machine
         return {}
     played = (*body.idle_clips(light["id"], world.frame * world.dt), *machines)
     stands = body.legs.stance_weights((*worn.plays, PlayedClip(worn.definition.idle)), played, len(light["id"]))
-    return dict(stance_arrays(body.legs, world.feet[name], light, stands))
+    return dict(stance_arrays(body.legs, world.feet[name].by_id(), light, stands))
 
 
 def pack_clips(clips: MachineClips, loops: NDArray[np.bool_]) -> NDArray[np.uint16]:

@@ -1,7 +1,7 @@
 """Feet of bodies with legs and gaits: which feet stand, where, and where the others swing. No other part of a run reads them.
 
 Input: the displacements, headings and ground of a step. `walking.measure` reads them before the ground moves on, `walking.walk`
-at the end of the step. Output: arrays for each species (`state.Feet`), rows by id, which frames and checkpoints store. Feet are
+at the end of the step. Output: arrays for each species (`state.Feet`), which frames and checkpoints store by id. Feet are
 simulated only if `Options.feet` is set: they are not part of `state_hash` and have a separate hash.
 
 All loops are kernels, without a second implementation. A step of a foot uses `bodies` (positions and axes), `stepping` (which

@@ -1,4 +1,4 @@
-"""Positions and axes of bodies as one table, rows by id, and the conversion of points between bodies and the world.
+"""Positions and axes of bodies as one table, and the conversion of points between bodies and the world.
 
 A table is float64[13, n]: position (mm), and the unit vectors ahead, up and aside, three rows each. The last row is the size
 (mm). Points of a body are in its lengths: ahead, above, aside."""
@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, Strided2, fetch_ahead, independent, inlined, kernel
+from antdsl.machine_code.kernels import F32, F64, I64, Array1, Array2, fetch_ahead, independent, inlined, kernel
 from antdsl.numerics import parallel
 from antdsl.numerics import vectors as vec
 from antdsl.numerics.kernel_vectors import Vec3, Vec3F32, VectorColumns, cross, dot, flat, minus, unit_or_perpendicular
@@ -30,33 +30,25 @@ def place_bodies(population: Population, buffer_name: str, threads: int) -> NDAr
     (bodies,) = population.get_buffers(buffer_name, 1, (_ROWS, n), np.float64)
     if n:
         columns = vec.vector_registers(now, "heading"), vec.vector_registers(now, "up"), now["size"]
-        work = partial(_place_bodies, population.position, *columns, population.in_id_order(), bodies)
+        work = partial(_place_bodies, np.ascontiguousarray(population.position.T), *columns, bodies)
         parallel.in_parts(work, n, threads, parallel.LIGHT)
     return bodies
 
 
 @kernel
 def _place_bodies(
-    position: Strided2[F64],
-    heading: VectorColumns,
-    up: VectorColumns,
-    size: Array1[F32],
-    rows: Array1[I64],
-    bodies: Array2[F64],
-    begin: I64,
-    end: I64,
+    position: Array2[F64], heading: VectorColumns, up: VectorColumns, size: Array1[F32], bodies: Array2[F64], begin: I64, end: I64
 ) -> None:
     """Write the bodies from `begin` to before `end`."""
     for i in independent(begin, end):
-        k = rows[i]
-        place = position[k, 0], position[k, 1], position[k, 2]
-        forward = np.float64(heading[0][k]), np.float64(heading[1][k]), np.float64(heading[2][k])
-        above = np.float64(up[0][k]), np.float64(up[1][k]), np.float64(up[2][k])
+        place = position[0, i], position[1, i], position[2, i]
+        forward = np.float64(heading[0][i]), np.float64(heading[1][i]), np.float64(heading[2][i])
+        above = np.float64(up[0][i]), np.float64(up[1][i]), np.float64(up[2][i])
         ahead, straight, aside = orthonormal_axes(forward, above)
         for axis in range(3):
             bodies[axis, i], bodies[3 + axis, i] = place[axis], ahead[axis]
             bodies[6 + axis, i], bodies[9 + axis, i] = straight[axis], aside[axis]
-        bodies[12, i] = np.float64(size[k])
+        bodies[12, i] = np.float64(size[i])
 
 
 @inlined

@@ -8,16 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.casting.grid_rays import AHEAD, Grid, first_hit, prefetch_rays
+from antdsl.casting.grid_rays import Grid, first_hit, prefetch_rays
+from antdsl.casting.nearest_faces import nearest_face
 from antdsl.casting.ray_walks import Rings, fetch_start, walked_hit
-from antdsl.casting.tolerances import FURTHER, UNSURE
+from antdsl.casting.tolerances import FURTHER, RINGS, UNSURE
 from antdsl.machine_code.kernels import independent, inlined, kernel, scratch
 from antdsl.machine_code.kernels.types import BOOL, F32, F64, I16, I32, I64, U8, Array1, Array2, Array3
-from antdsl.numerics.kernel_vectors import dot, minus, of, put_vector
+from antdsl.numerics.kernel_vectors import dot, minus, of, plus, put_vector
+from antdsl.numerics.sorting import compact_indices
 from antdsl.runtime.feet.bodies import body_at, fetch_columns
 from antdsl.runtime.feet.gaits import HIP, REACHED, SINK
 from antdsl.runtime.feet.state import NOTHING
-from antdsl.runtime.feet.stepping import LIFTS, Legs, Trunks
+from antdsl.runtime.feet.stepping import LEG, LEG_BITS, LIFTS, Legs, Trunks
 from antdsl.runtime.feet.trunk import lean_point
 
 _F = np.float32
@@ -48,9 +50,9 @@ def aim(
     begin: I64,
     end: I64,
 ) -> None:
-    """Where hips will be when feet land, the places that these want, and the first ray between them, of requests (agent times L
-    plus leg) from `begin` to before `end`. `measures`: as `Gaits.legs` and `Gaits.exact`. `standing`: the starts of agents, for
-    those of `rays`. `quick`: the foot lifts, and looks again when it lands."""
+    """Where hips will be when feet land, the places that these want, and the first ray between them, of requests (see
+    `stepping.LEG_BITS`) from `begin` to before `end`. `measures`: as `Gaits.legs` and `Gaits.exact`. `standing`: the starts of
+    agents, for those of `rays`. `quick`: the foot lifts, and looks again when it lands."""
     legs, exact = measures
     count = legs.shape[1]
     target_x, target_z, left, what = targets
@@ -60,13 +62,13 @@ def aim(
         stop = min(group + _FETCHED, end)
         until = min(stop + _FETCHED, end)
         if stop < until:
-            following, last = requests[stop] // count, requests[until - 1] // count + 1
+            following, last = requests[stop] >> LEG_BITS, (requests[until - 1] >> LEG_BITS) + 1
             fetch_columns(bodies, 13, 8, following, last)
             fetch_columns(covered, 2 * count, 16, following, last)
             for each in (target_x, target_z, left):
                 fetch_columns(each, count, 16, following, last)
         for k in range(group, stop):
-            i, leg = requests[k] // count, requests[k] % count
+            i, leg = requests[k] >> LEG_BITS, requests[k] & LEG
             place, ahead, up, aside, size = body_at(bodies, i)
             rise, slope = trunks[1], trunks[2]
             x, y, z = lean_point((slope[0, i], slope[1, i]), (legs[HIP, leg], legs[HIP + 1, leg], legs[HIP + 2, leg]))
@@ -84,88 +86,108 @@ def aim(
 
 
 @kernel
-def walk(
-    grid: Grid,
-    rings: Rings,
-    number: I64,
-    origins: Array2[F64],
-    ways: Array2[F64],
-    starts: Array1[I64],
-    hits: Hits,
-    walked: Array1[I16],
-    begin: I64,
-    end: I64,
-) -> None:
-    """Put what rays from `begin` to before `end` hit of a mesh, the floor's `number`, where their `starts` are on it and a walk
-    answers, and the number into `walked`. Starts move to the faces that are hit."""
-    shape = grid[0]
-    zero = shape[6], shape[7], shape[8]
-    for low in range(begin, end, _FETCHED):
-        high = min(low + _FETCHED, end)
-        for k in independent(low, high):
-            if starts[k] >> FACE_BITS == number:
-                fetch_start(rings, starts[k] & FACE)
-        for k in range(low, high):
-            if starts[k] >> FACE_BITS == number:
-                a, w = of(origins, k), of(ways, k)
-                t, named = walked_hit(grid, rings, starts[k] & FACE, minus(a, zero), w)
-                if named != UNSURE:
-                    walked[k] = number
-                if named >= 0:
-                    starts[k] = number << FACE_BITS | named
-                    _put_hit(hits, k, number, t, a, w)
-
-
-@kernel
 def cast(
     grid: Grid,
+    rings: Rings,
     box: tuple[Array1[F64], Array1[F64]],
     number: I64,
     origins: Array2[F64],
     displacements: Array2[F64],
-    walked: Array1[I16],
+    starts: Array1[I64],
     hits: Hits,
     far: Array1[I64],
     begin: I64,
     end: I64,
 ) -> tuple[I64, I64]:
     """Put what rays from `begin` to before `end` hit of a mesh, the floor's `number`, where that is nearer than `hits` so far.
-    Those that have `walked` on it are left out. Into `far`, from `begin` on: the rays that are too long for the grid. Returns
-    where they begin, and how many there are."""
-    shape, (low, high), count = grid[0], box, 0
+
+    Rays with `starts` on the mesh walk, if it has `rings`; their starts move to the faces that are hit. The grid answers the
+    others. Into `far`, from `begin` on: the rays that are too long for the grid. Returns where they begin, and how many there
+    are."""
+    shape, (least, greatest), count = grid[0], box, 0
     zero = shape[6], shape[7], shape[8]
-    cells, rays, near = scratch(2 * AHEAD, I64), scratch(AHEAD, I64), 0
-    for k in range(begin, end + 1):
-        if k < end:
-            inside = walked[k] != number
+    cells, rays = scratch(2 * _FETCHED, I64), scratch(_FETCHED, I64)
+    for low in range(begin, end, _FETCHED):
+        high = min(low + _FETCHED, end)
+        for k in independent(low, high):
+            inside = True
             for axis in range(3):
                 tail, head = origins[axis, k], origins[axis, k] + displacements[axis, k]
-                inside = inside and min(tail, head) <= high[axis] and max(tail, head) >= low[axis]
-            if inside:
-                rays[near] = k
-                near += 1
-        if near == AHEAD or (k == end and near > 0):
-            prefetch_rays(grid, origins, zero, displacements, rays, cells, near)
-            for n in range(near):
-                ray = rays[n]
-                a, w = of(origins, ray), of(displacements, ray)
-                t, named = first_hit(grid, minus(a, zero), w)
-                if named == FURTHER:
-                    far[begin + count] = ray
-                    count += 1
-                elif named >= 0:
-                    _put_hit(hits, ray, number, t, a, w)
-            near = 0
+                inside = inside and min(tail, head) <= greatest[axis] and max(tail, head) >= least[axis]
+            rays[k - low] = 1 if inside else 0
+            if rings[0].size > 0 and starts[k] >> FACE_BITS == number:
+                fetch_start(rings, starts[k] & FACE)
+        if rings[0].size > 0:
+            for k in independent(low, high):
+                if starts[k] >> FACE_BITS == number:
+                    a, w = of(origins, k), of(displacements, k)
+                    t, named = walked_hit(grid, rings, starts[k] & FACE, minus(a, zero), w)
+                    if named != UNSURE:
+                        rays[k - low] = 0
+                    if named >= 0:
+                        starts[k] = number << FACE_BITS | named
+                        _put_hit(hits, k, number, t, a, w)
+        near = compact_indices(rays, high - low)
+        for n in range(near):
+            rays[n] += low
+        prefetch_rays(grid, origins, zero, displacements, rays, cells, near)
+        for n in range(near):
+            ray = rays[n]
+            a, w = of(origins, ray), of(displacements, ray)
+            t, named = first_hit(grid, minus(a, zero), w)
+            if named == FURTHER:
+                far[begin + count] = ray
+                count += 1
+            elif named >= 0:
+                _put_hit(hits, ray, number, t, a, w)
+    return begin, count
+
+
+@kernel
+def find_nearest(
+    grid: Grid,
+    box: tuple[Array1[F64], Array1[F64]],
+    number: I64,
+    points: Array2[F64],
+    reach: Array1[F64],
+    hits: Hits,
+    far: Array1[I64],
+    begin: I64,
+    end: I64,
+) -> tuple[I64, I64]:
+    """Put the positions on a mesh, the floor's `number`, that are nearest to points from `begin` to before `end` and within
+    their `reach`, which shrinks to the distance. Into `far`, from `begin` on: points with a reach that is too long for the grid.
+    Returns where they begin, and how many there are."""
+    shape, (low, high), count = grid[0], box, 0
+    zero = shape[6], shape[7], shape[8]
+    for k in range(begin, end):
+        point, most, inside = of(points, k), reach[k], True
+        for axis in range(3):
+            inside = inside and point[axis] - most <= high[axis] and point[axis] + most >= low[axis]
+        if inside and most > RINGS * shape[3]:
+            far[begin + count] = k
+            count += 1
+        elif inside:
+            square, face, place = nearest_face(grid, minus(point, zero), most)
+            if face >= 0 and np.sqrt(square) < most:
+                reach[k] = np.sqrt(square)
+                _put_place(hits, k, number, reach[k], plus(place, zero))
     return begin, count
 
 
 @inlined
 def _put_hit(hits: Any, k: Any, number: Any, t: Any, a: Any, w: Any) -> None:
     """Put what ray `k` hits of a mesh after part `t` of its way `w` from `a`, where that is nearer."""
+    if t < hits[0][k]:
+        _put_place(hits, k, number, t, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
+
+
+@inlined
+def _put_place(hits: Any, k: Any, number: Any, t: Any, at: Any) -> None:
+    """Put a hit on a still mesh."""
     part, place, on, face, weight = hits
-    if t < part[k]:
-        part[k], on[k], face[k], weight[0, k], weight[1, k] = t, number, 0, 0.0, 0.0
-        put_vector(place, k, (a[0] + w[0] * t, a[1] + w[1] * t, a[2] + w[2] * t))
+    part[k], on[k], face[k], weight[0, k], weight[1, k] = t, number, 0, 0.0, 0.0
+    put_vector(place, k, at)
 
 
 @kernel
@@ -278,9 +300,8 @@ def settle(
     end: I64,
 ) -> None:
     """Assign to feet the ground that was found for their requests. A foot without ground hangs at the requested position."""
-    count = on.shape[0]
     for k in range(begin, end):
-        i, leg = requests[k] // count, requests[k] % count
+        i, leg = requests[k] >> LEG_BITS, requests[k] & LEG
         foothold = of(seekers[1], k) if hits[2][k] == NOTHING else of(hits[1], k)
         for axis in range(3):
             place[axis, leg, i] = foothold[axis]

@@ -31,6 +31,7 @@ Arrays = tuple[NDArray[Any], ...]
 
 _SHY = 1e-6  # of a distance: by how much a ray is shortened in the test for obstructions
 _RAYS = 256  # for which a thread pays
+_NO_RINGS = np.empty(0), np.empty(0, np.int32), np.empty(0, np.float32)  # of a mesh that no agent stands on
 
 
 @dataclass(slots=True, eq=False)
@@ -86,11 +87,11 @@ class FootGround:
         self._walked: set[int] = set()  # numbers of meshes that agents stand on
 
     def starts(self, population: Population) -> Rows:
-        """The faces below agents by id, from which rays near their bodies walk: as `footholds.FACE_BITS` describes."""
-        order, columns = population.in_id_order(), population.footing.columns
+        """The faces below agents, from which rays near their bodies walk: as `footholds.FACE_BITS` describes."""
+        columns = population.footing.columns
         if "face" not in columns or not self._numbers.size:
-            return np.full(len(order), -1)
-        mesh, face = columns["mesh"][order], columns["face"][order]
+            return np.full(len(population), -1)
+        mesh, face = columns["mesh"], columns["face"]
         number = np.where(mesh >= 0, self._numbers[mesh], -1)
         self._walked.update((self._numbers[np.flatnonzero(np.bincount(mesh + 1)[1:])] >> FACE_BITS).tolist())
         return np.where(number >= 0, number | face, -1)
@@ -100,7 +101,6 @@ class FootGround:
         most are expected to end on what bodies walk on, so that Open3D need not test first which do. Neither changes an
         answer."""
         hits, threads = GroundHits.none(origin.shape[1]), world.options.threads
-        walked = np.full(len(hits.part), -1, np.int16)
         if isinstance(world.ground, Plane):
             _cast_on_plane(world, origin, displacement, hits)
         for k, name in enumerate(self.names):
@@ -108,16 +108,15 @@ class FootGround:
             box = self._bounding_box(world, k, obstacle)
             if box is None:
                 continue
-            tables = obstacle.tables() if isinstance(obstacle, RayScene) and k not in self.moving else None
+            tables = self._grid_tables(k, obstacle)
             if not isinstance(obstacle, RayScene) or tables is None:
                 near = _rays_meeting_box(box, origin, displacement)
             else:
                 far = np.empty(len(hits.part), np.int64)
                 rings = obstacle.rings(threads) if k in self._walked else None
-                if rings is not None:
-                    work = partial(footholds.walk, tables, rings, k, origin, displacement, starts, hits.columns, walked)
-                    parallel.in_parts(work, len(far), threads, _RAYS)
-                work = partial(footholds.cast, tables, box, k, origin, displacement, walked, hits.columns, far)
+                work = partial(
+                    footholds.cast, tables, rings or _NO_RINGS, box, k, origin, displacement, starts, hits.columns, far
+                )
                 near = parallel.join_parts(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
             if not near.size:
                 continue
@@ -132,19 +131,25 @@ class FootGround:
 
     def nearest(self, world: World, points: Vectors, reach: NDArray[np.float64]) -> GroundHits:
         """Return the nearest positions to points, within `reach` (mm, [k])."""
-        hits = GroundHits.none(points.shape[1])
+        hits, threads = GroundHits.none(points.shape[1]), world.options.threads
         least = reach.copy()
         for k, name in enumerate(self.names):
             obstacle = world.obstacles.get(name)
             box = self._bounding_box(world, k, obstacle)
             if box is None:
                 continue
-            near = np.flatnonzero(((points - reach <= box[1][:, None]) & (points + reach >= box[0][:, None])).all(axis=0))
-            near = _points_near_mesh(obstacle, near, points, reach) if isinstance(obstacle, RayScene) else near
+            tables = self._grid_tables(k, obstacle)
+            if tables is not None:
+                far = np.empty(len(least), np.int64)
+                work = partial(footholds.find_nearest, tables, box, k, points, least, hits.columns, far)
+                near = parallel.join_parts(parallel.in_parts(work, len(far), threads, _RAYS), far)[0]
+            else:
+                near = np.flatnonzero(((points - reach <= box[1][:, None]) & (points + reach >= box[0][:, None])).all(axis=0))
+                near = _points_near_mesh(obstacle, near, points, reach) if isinstance(obstacle, RayScene) else near
             if not near.size:
                 continue
             if isinstance(obstacle, RayScene):
-                _, face, place, distance = obstacle.closest(points[:, near].T, world.options.threads, least[near])
+                _, face, place, distance = obstacle.closest(points[:, near].T, threads, least[near])
             else:
                 assert isinstance(obstacle, SolidFeelers)
                 slope = obstacle.volume.gradient(points[:, near].T).astype(np.float64)
@@ -165,6 +170,10 @@ class FootGround:
                 vertices = vertices_at(world, self.names[k], world.display_frame)
                 a, b, c = (vertices[self.meshes[self.names[k]].faces[face[rows], corner]].T for corner in range(3))
                 place[:, rows] = a + weight[0][rows] * (b - a) + weight[1][rows] * (c - a)
+
+    def _grid_tables(self, k: int, obstacle: object) -> Arrays | None:
+        """Return the tables of a still mesh with a grid of triangles; None for all else."""
+        return obstacle.tables() if isinstance(obstacle, RayScene) and k not in self.moving else None
 
     def _bounding_box(self, world: World, k: int, obstacle: object) -> tuple[Vectors, Vectors] | None:
         if isinstance(obstacle, SolidFeelers):
@@ -202,10 +211,9 @@ class FootGround:
 
 @dataclass(slots=True, eq=False)
 class FootholdRequests:
-    """Feet that need ground: `requests` int64[k], the number of the agent times L plus that of the leg; `columns`: hip, wanted
-    place and up of the body, (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground;
-    `displacement` (3, k): from the hip past the wanted place; `starts` as `Floor.starts`. `is_quick`: the foot lifts, and looks
-    again when it lands."""
+    """Feet that need ground: `requests` int64[k], see `stepping.LEG_BITS`; `columns`: hip, target position and up of the
+    body, (3, k), how far the foot joint may be from the hip (mm), and how high it is above its ground. `displacement` (3, k):
+    from the hip past the target. `starts` as `FootGround.starts`. `is_quick`: the foot lifts, and looks again when it lands."""
 
     requests: Rows
     columns: Arrays
@@ -260,7 +268,8 @@ def _look_around(
     if lost.size:
         rows, hips = rows[lost], np.ascontiguousarray(hips[:, lost])
         close = floor.nearest(world, np.ascontiguousarray(seeking.columns[1][:, rows]), reach)
-        sight_hits = floor.cast(world, hips, (close.place - hips) * (1.0 - _SHY), starts[lost])
+        sight = np.where(np.isfinite(close.part), (close.place - hips) * (1.0 - _SHY), 0.0)
+        sight_hits = floor.cast(world, hips, sight, starts[lost])
         footholds.accept(seeking.columns, rows, close.columns, sight_hits.columns, hits.columns, 0, len(rows))
 
 

@@ -1,4 +1,4 @@
-"""The feet of one species as arrays, rows by id."""
+"""The feet of one species as arrays, one row for each agent."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from numpy.typing import DTypeLike, NDArray
 
 from antdsl.numerics.records import match_ids
 from antdsl.numerics.row_hash import RowHash, describe_columns
+from antdsl.numerics.sorting import stable_order
 from antdsl.program.tables.columns import FEET
 
 Array = NDArray[Any]
@@ -19,6 +20,7 @@ Array = NDArray[Any]
 STANDS = np.float32(-1)  # of `swing`
 NOTHING, PLANE = -2, -1  # of `on`
 _COLUMNS = {column.name: column for column in FEET}
+_SHAPES = {name: column.shape for name, column in _COLUMNS.items()} | {"covered": (2, "n", "L"), "stood": (3, "n")}
 
 
 def by_leg(shape: Sequence[int], dtype: DTypeLike = np.float64) -> Array:
@@ -38,12 +40,13 @@ def _zeros(count: int, legs: int) -> dict[str, Any]:
 
 def _axis(name: str) -> int:
     """Return the axis of a column that has agents."""
-    return _COLUMNS[name].shape.index("n")
+    return _SHAPES[name].index("n")
 
 
 @dataclass(slots=True, eq=False)
 class Feet:
-    """The feet of n agents with L legs. Positions are mm in world coordinates, components first.
+    """The feet of n agents with L legs, in any order of the agents: a step puts them into the order of the population's rows, in
+    which neighbours in space are mostly neighbours in memory. Positions are mm in world coordinates, components first.
 
     `place` float64[3, n, L]: where each foot stands or is to land. `shown` float64[3, n, L]: its current position. `start`
     float64[3, n, L]: where its swing began. `swing` float32[n, L]: the completed share of its swing, -1 for a standing foot. `on`
@@ -73,6 +76,8 @@ class Feet:
     covered: NDArray[np.float32] | None = field(default=None)
     stood: NDArray[np.float64] | None = field(default=None)  # where bodies were before the ground went on, float64[3, n], NaN: no
     rows: RowHash = field(default_factory=RowHash)  # of arrays that mostly stay where they are in memory
+    _ranks: NDArray[np.int32] | None = field(default=None, init=False)
+    _ranks: NDArray[np.int32] | None = field(default=None, init=False)
 
     @staticmethod
     def none(legs: int) -> Feet:
@@ -96,28 +101,56 @@ class Feet:
         """Return the stored arrays themselves, by name."""
         return {name: getattr(self, name) for name in _COLUMNS}
 
-    def copy_common(self, previous_feet: Feet) -> NDArray[np.bool_]:
-        """Copy the feet of all agents that had feet before; return which."""
-        at, known = match_ids(self.ids, previous_feet.ids)
+    def by_id(self) -> Feet:
+        """Return the same feet, rows by id."""
+        return self.match_ids(np.sort(self.ids))[0]
+
+    def id_ranks(self) -> NDArray[np.int32]:
+        """Return the position of each row in the order of ids."""
+        if self._ranks is None:
+            self._ranks = np.empty(len(self), np.int32)
+            self._ranks[stable_order(self.ids)] = np.arange(len(self), dtype=np.int32)
+        return self._ranks
+
+    def _find_ids(self, ids: NDArray[np.int64]) -> tuple[NDArray[np.intp], NDArray[np.bool_]]:
+        """Return the rows of ids, and which ids have a row."""
+        order = stable_order(self.ids)
+        at, known = match_ids(ids, self.ids.take(order))
+        return order.take(at, mode="clip") if order.size else at, known
+
+    def copy_common(self, previous_feet: Feet) -> None:
+        """Copy the feet of all agents that had feet before."""
+        at, known = previous_feet._find_ids(self.ids)
         for name, array in self.arrays().items():
             rows: tuple[Any, ...] = (slice(None),) * _axis(name)
             array[(*rows, known)] = getattr(previous_feet, name)[(*rows, at[known])]
-        for name in ("covered", "stood"):
-            previous, array = getattr(previous_feet, name), getattr(self, name)
-            if previous is not None and array is not None:
-                array[:, known] = previous[:, at[known]]
-        return known
 
     def match_ids(self, ids: NDArray[np.int64]) -> tuple[Feet, NDArray[np.intp]]:
-        """Return the feet of agents by ascending ids, zero for agents without earlier feet, and the rows of those agents."""
+        """Return the feet of agents in the order of these ids, zero for agents without earlier feet, and the rows of those
+        agents."""
         if np.array_equal(ids, self.ids):
             return self, np.zeros(0, np.intp)
-        matched_feet = Feet(**(_zeros(len(ids), self.legs) | {"ids": ids.copy()}))
-        if self.covered is not None:
-            matched_feet.covered = by_leg((2, len(ids), self.legs), np.float32)
-        if self.stood is not None:
-            matched_feet.stood = np.full((3, len(ids)), np.nan)
-        return matched_feet, np.flatnonzero(~matched_feet.copy_common(self))
+        at, known = self._find_ids(ids)
+        new = np.flatnonzero(~known)
+        columns: dict[str, Any] = {name: _pick_rows(name, getattr(self, name), at, new) for name in _SHAPES}
+        return Feet(**columns | {"ids": ids.copy()}), new
+
+
+def _pick_rows(name: str, array: Array | None, at: NDArray[np.intp], new: NDArray[np.intp]) -> Array | None:
+    """Return rows of a column, with zeros in the `new` ones; earlier positions of these bodies are NaN."""
+    if array is None:
+        return None
+    axis, is_by_leg = _axis(name), "L" in _SHAPES[name]
+    if not array.shape[axis]:
+        shape = (*array.shape[:axis], len(at), *array.shape[axis + 1 :])
+        picked = by_leg(shape, array.dtype) if is_by_leg else np.zeros(shape, array.dtype)
+    elif is_by_leg:
+        picked = array.swapaxes(-1, -2).take(at, axis=-1).swapaxes(-1, -2)
+    else:
+        picked = array.take(at, axis=axis)
+    if new.size:
+        picked[(*(slice(None),) * axis, new)] = np.nan if name == "stood" else 0
+    return picked
 
 
 def feet_hash(feet: Mapping[str, Feet], threads: int = 1) -> str:

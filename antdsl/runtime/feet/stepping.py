@@ -14,7 +14,21 @@ from typing import Any
 
 import numpy as np
 
-from antdsl.machine_code.kernels import BOOL, F32, F64, I16, I64, U8, Array1, Array2, Array3, independent, inlined, kernel
+from antdsl.machine_code.kernels import (
+    BOOL,
+    F32,
+    F64,
+    I16,
+    I64,
+    U8,
+    Array1,
+    Array2,
+    Array3,
+    fetch_ahead,
+    independent,
+    inlined,
+    kernel,
+)
 from antdsl.numerics.kernel_vectors import dot, minus
 from antdsl.runtime.feet import trunk
 from antdsl.runtime.feet.bodies import body_at, fetch_columns, orthonormal_axes, to_body, to_world
@@ -34,10 +48,11 @@ _LATE = _F(0.6)  # of a swing: until then, a foot that missed its turn may still
 _BEHIND = _F(0.3)  # of its reach: a foot that is so far behind has missed its turn
 _LOWEST = _F(0.1)  # of a leg: the least height of a hip above a foot that a straight line is drawn through
 _AT_ONCE = _F(1e-3)  # of a cycle, by which the phase goes past the turn of the foot that sets out
-_FETCHED = 64  # agents with columns that are prefetched together
+_FETCHED = 16  # agents with columns that are prefetched together
 _LEAST, _TINY, _LONG = _F(1e-6), _F(1e-9), _F(1e4)
 
 STAYS, LIFTS, LANDS, SEEKS_AGAIN = 0, 1, 2, 3  # of `what` a foot does in this step
+LEG_BITS, LEG = 16, 0xFFFF  # of a request for ground: the number of the agent above that of the leg
 
 Legs = Array2[F32]  # as `Gaits.legs`
 GaitTables = tuple[Array1[F32], Array2[F32], Array2[F32]]  # as `Gaits.tables`
@@ -102,8 +117,8 @@ def plan_steps(
 
     `times`: the frame duration, the cycles per frame of an agent that puts its feet back, two limits. The limits are the least
     share of a swing per frame and the reach of the shortest leg. `undermined`: feet that lost their ground to digging. Writes
-    into `requests`, from L times `begin` on, the feet that need ground: agent number times L plus leg number. Returns where they
-    begin, and their number."""
+    into `requests`, from L times `begin` on, the feet that need ground, see `LEG_BITS`. Returns where they begin, and their
+    number."""
     count = legs.shape[1]
     dt, rests, swings, shortest = times
     place, start, _ = feet[0]
@@ -120,6 +135,11 @@ def plan_steps(
         fetch_columns(at, 3 * count, 16, stop, until)
         for each in (swing, rest_offset, target_x, target_z, left, share, off):
             fetch_columns(each, count, 16, stop, until)
+        for each in (on, what, undermined):
+            fetch_columns(each, count, 64, stop, until)
+        fetch_columns(slope, 2, 16, stop, until)
+        for each in (rise, phase, stride, lift):
+            fetch_ahead(each, stop)
         for i in independent(group, stop):
             body = body_at(bodies, i)
             lean, raised = (slope[0, i], slope[1, i]), rise[i] / _F(body.size)
@@ -209,7 +229,7 @@ def plan_steps(
     for i in range(begin, end):
         for leg in range(count):
             if what[leg, i] == LIFTS or what[leg, i] == SEEKS_AGAIN:
-                requests[begin * count + many] = i * count + leg
+                requests[begin * count + many] = i << LEG_BITS | leg
                 many += 1
     return begin * count, many
 
@@ -246,6 +266,11 @@ def take_steps(
         fetch_columns(at, 3 * count, 16, stop, until)
         for each in (swing, share, rest_offset):
             fetch_columns(each, count, 16, stop, until)
+        for each in (on, what):
+            fetch_columns(each, count, 64, stop, until)
+        fetch_columns(slope, 2, 16, stop, until)
+        for each in (rise, stride, lift):
+            fetch_ahead(each, stop)
         for i in independent(group, stop):
             body = body_at(bodies, i)
             size = _F(body.size)

@@ -47,7 +47,7 @@ def measure(world: World) -> None:
     """Record the ground that the resting place of each foot covered in this step, before the ground itself moves on."""
     for name, feet in world.feet.items():
         population, walkers = world.populations[name], world.walkers[name]
-        feet, new = feet.match_ids(population.sorted_ids()[0])
+        feet, new = feet.match_ids(population.ids)
         world.feet[name] = feet
         n = len(feet)
         bodies = place_bodies(population, "bodies before the ground moves", world.options.threads)
@@ -78,7 +78,7 @@ class _Step:
         assert world.floor is not None
         self.world, self.floor, self.walkers, self.gaits = world, world.floor, walkers, walkers.gaits
         self.population = population
-        self.feet, self.new = world.feet[population.name].match_ids(population.sorted_ids()[0])
+        self.feet, self.new = world.feet[population.name].match_ids(population.ids)
         world.feet[population.name] = self.feet
         self.threads, self.dt = world.options.threads, _F(world.dt)
         self.bodies = place_bodies(population, "bodies", self.threads)
@@ -130,7 +130,7 @@ class _Step:
         for target, rest in zip(self.targets, (legs[REST_X], legs[REST_Z], np.zeros_like(legs[REST_X])), strict=False):
             target[:, rows] = rest[:, None]
         self.targets[-1][:, rows] = stepping.SEEKS_AGAIN
-        self._seek_ground((rows[:, None] * feet.legs + np.arange(feet.legs)).ravel())
+        self._seek_ground((rows[:, None] << stepping.LEG_BITS | np.arange(feet.legs)).ravel())
         feet.swing[rows] = np.where(feet.on[rows] == NOTHING, _F(1), STANDS)
         feet.start[:, rows] = feet.place[:, rows]
 
@@ -157,7 +157,7 @@ class _Step:
         self._seek_ground(parallel.join_parts(parts, self.requests)[0])
 
     def _seek_ground(self, requests: NDArray[np.int64]) -> None:
-        """Find ground for feet. A request is the number of the agent times L plus that of the leg."""
+        """Find ground for feet, requested as `stepping.LEG_BITS` describes."""
         if requests.size:
             feet, gaits, targets = self.feet, self.gaits, self.targets
             goals, measures = (*targets[:3], targets[-1]), (gaits.legs, gaits.exact)
